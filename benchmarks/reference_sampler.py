@@ -10,7 +10,7 @@ import numpy as np
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import Rule, check_pattern
-from gcd_dataset.generator.garments import outfit
+from gcd_dataset.generator.garments import draw_garment
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.rules import LIGHT_LENGTH, LIGHT_SUNS, garment_length, is_flared, is_gathered
 from gcd_dataset.generator.garments.space import DesignSpace, draw
@@ -56,7 +56,7 @@ def _unfit(design: GarmentDesign, size: Measurements) -> str:
     if garment_length(size, design, frozenset()) > size.height - size.head_l + FLOOR_SLACK:
         return "too long"
     try:
-        faults = check_pattern(outfit(size, design, mends=frozenset()))
+        faults = check_pattern(draw_garment(size, design, mends=frozenset()))
     except PatternError:
         return "cannot be drawn"
     return "crosses itself" if any(fault.rule is Rule.SELF_CROSSING for fault in faults) else ""

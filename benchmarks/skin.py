@@ -9,7 +9,7 @@ from jaxtyping import Int
 from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model
 from gcd_dataset.generator.drape.device import resolve_device
 from gcd_dataset.generator.drape.kernels.crossing import count_self_crossings, find_roots
-from gcd_dataset.generator.drape.kernels.world import Cloth
+from gcd_dataset.generator.drape.kernels.world import ClothArrays
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body
 
@@ -28,7 +28,7 @@ def skin_crossings(body: Body) -> int:
 
     # The drape's kernel, for one world. Keep a reference to the BVH: its id does not keep it alive.
     bvh = wp.Bvh(vectors(corners.min(axis=1)), vectors(corners.max(axis=1)), groups=_zeros(len(faces), device))
-    cloth = Cloth()
+    cloth = ClothArrays()
     cloth.vertex_world = _zeros(len(body.vertices), device)
     cloth.edges = wp.array(edges, dtype=wp.vec2i, device=device)
     cloth.faces = wp.array(faces, dtype=wp.vec3i, device=device)

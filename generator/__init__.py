@@ -9,12 +9,12 @@ from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_body
+    from gcd_dataset.generator.body.by_name import make_person
     from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch, fabric_named
     from gcd_dataset.generator.garments import GarmentDesign, read_design, sample_design
     from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
     from gcd_dataset.generator.maker import make, produce
     from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
-    from gcd_dataset.generator.people import make_person
     from gcd_dataset.generator.pipeline import build_pattern, fit
     from gcd_dataset.generator.recipe import MakeConfig
 
@@ -51,7 +51,7 @@ _NAMES_OF_MODULE = {
     "garments": ("GarmentDesign", "read_design", "sample_design"),
     "garments.overlay": ("Overlay", "read_overlay"),
     "mesh": ("build_box_mesh", "coarse_start"),
-    "people": ("make_person",),
+    "body.by_name": ("make_person",),
     "pipeline": ("build_pattern", "fit"),
     "maker": ("make", "produce"),
     "recipe": ("MakeConfig",),

@@ -145,9 +145,6 @@ def jpeg_bytes(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
     return _encoded(picture, format="JPEG", quality=JPEG_QUALITY)
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 def _font(text: str, room: float, largest: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     """A font of ``largest`` pixels, or down to a third of it to fit ``text`` into ``room`` [pixels]."""
     width = ImageFont.load_default(size=largest).getlength(text)

@@ -19,7 +19,7 @@ from gcd_dataset.faults import Severity, require_valid
 from gcd_dataset.files import make_folder, safe_name, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
 from gcd_dataset.generator.drapers import DrapeReply
-from gcd_dataset.generator.drapers.in_order import Work, in_order
+from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.dressing import Dressing, dress, has_legs
@@ -156,10 +156,10 @@ def drape_patterns(
 
 def _work(
     pattern: Pattern | Refusal, wearer: Callable[[bool], tuple[Body, Measurements]], fabric: Fabric, resolution: float
-) -> Work[Fitting | Refusal]:
+) -> DrapeWork[Fitting | Refusal]:
     """The drape job of a pattern, and the function that makes a ``Fitting`` of the reply; without a job a refusal."""
     if isinstance(pattern, Refusal):
-        return Work([], lambda _: pattern)
+        return DrapeWork([], lambda _: pattern)
     try:
         dressing, (body, size) = _dress(pattern, wearer)
         start = time.perf_counter()
@@ -169,13 +169,13 @@ def _work(
         job.require_drapeable()
     except (PatternError, MeshError, DrapeError) as error:
         refusal = Refusal(pattern.name, str(error))
-        return Work([], lambda _: refusal)
+        return DrapeWork([], lambda _: refusal)
 
     def finish(replies: Sequence[DrapeReply]) -> Fitting:
         [reply] = replies
         return Fitting(dressing.pattern, body, dressing.assumed, mesh, reply.drape, seconds, reply.seconds)
 
-    return Work([job], finish)
+    return DrapeWork([job], finish)
 
 
 def _dress(

@@ -146,16 +146,11 @@ def _widest_stretch(outline: Float[np.ndarray, "n 2"], shares: Sequence[float]) 
     best, centre = 0.0, 0.5 * (low + high)
     for share in shares:
         level = low[1] + share * (high[1] - low[1])
-        crossings = _crossings(outline, level)
+        start, end = outline, np.roll(outline, -1, axis=0)
+        crossed = (start[:, 1] < level) != (end[:, 1] < level)
+        (x0, y0), (x1, y1) = start[crossed].T, end[crossed].T
+        crossings = np.sort(x0 + (level - y0) / (y1 - y0) * (x1 - x0))  # x where the outline crosses the level
         for left, right in zip(crossings[::2], crossings[1::2], strict=False):
             if right - left > 1.05 * best:  # the first of nearly equal stretches is kept
                 best, centre = float(right - left), np.array([0.5 * (left + right), level])
     return centre, best
-
-
-def _crossings(outline: Float[np.ndarray, "n 2"], level: float) -> Float[np.ndarray, " m"]:
-    """x of the points where an outline crosses a level y, ascending."""
-    start, end = outline, np.roll(outline, -1, axis=0)
-    crossed = (start[:, 1] < level) != (end[:, 1] < level)
-    (x0, y0), (x1, y1) = start[crossed].T, end[crossed].T
-    return np.sort(x0 + (level - y0) / (y1 - y0) * (x1 - x0))

@@ -15,8 +15,8 @@ from typing import Any, Generic, TypeVar, overload
 
 from gcd_dataset.devicenames import devices_name
 from gcd_dataset.generator.drapers import Draper, DraperAddress, DrapeReply, SharedDraper, addresses_for
-from gcd_dataset.generator.drapers.in_order import Work, in_order
-from gcd_dataset.generator.drapers.shared import AT_ONCE
+from gcd_dataset.generator.drapers.address import AT_ONCE
+from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.pipeline import (
     NO_REDRAWS,
     DressedDesign,
@@ -107,7 +107,9 @@ def produce(
         return
     with ExitStack() as opened:
         if draper is None and config.stage == "drape":
-            draper = opened.enter_context(_local_draper(config))
+            from gcd_dataset.generator.drapers.local import LocalDraper
+
+            draper = opened.enter_context(LocalDraper(devices_of(config)[0]))
         at_once = 1 if draper is None else max(draper.at_once // config.wearers, 1)
         pending = _Pending(seed, config, finished, known, last or LastDesign(), pictured)
         for index in in_order(pending.work(indices), draper, ahead=ahead or at_once * config.wearers, at_once=at_once):
@@ -147,20 +149,17 @@ class _Pending(Generic[Made]):
     known: Callable[[int], Made | None]
     last: LastDesign
     pictured: bool
-    count: Counter[int] = field(default_factory=Counter)
-    """Open requests of each index."""
-    under_way: set[int] = field(default_factory=set)
-    """Numbers of the designs in work."""
-    done: dict[int, Made] = field(default_factory=dict)
-    """Results by index, until all its requests are served."""
+    count: Counter[int] = field(default_factory=Counter)  # open requests of each index
+    under_way: set[int] = field(default_factory=set)  # numbers of the designs in work
+    done: dict[int, Made] = field(default_factory=dict)  # results by index, until all its requests are served
 
-    def work(self, indices: Iterable[int]) -> Iterator[Work[int]]:
-        """One ``Work`` for each index, with the index as its result; without jobs if the design is in work or done."""
+    def work(self, indices: Iterable[int]) -> Iterator[DrapeWork[int]]:
+        """Work for each index, with the index as its result; without jobs if the design is in work or done."""
         for index in indices:
             self.count[index] += 1
             number = index // self.config.wearers
             if number in self.under_way or index in self.done or self._is_known(index):
-                yield Work((), lambda _, index=index: index)  # type: ignore[misc]
+                yield DrapeWork((), lambda _, index=index: index)  # type: ignore[misc]
             else:
                 self.under_way.add(number)
                 yield self._attempt(index)
@@ -183,13 +182,13 @@ class _Pending(Generic[Made]):
 
     def _attempt(
         self, index: int, rejects: tuple[Rejected, ...] = (), redraws: Mapping[str, int] = NO_REDRAWS
-    ) -> Work[int]:
+    ) -> DrapeWork[int]:
         """The next accepted design for an index, as drape jobs."""
         design = prepare(self.seed, index // self.config.wearers, self.config, rejects, redraws)
         picture, views = (self.config.picture, view_requests(design, self.config)) if self.pictured else (0, ())
-        return Work(drape_jobs(design, self.config), partial(self._finish, index, design), picture, views)
+        return DrapeWork(drape_jobs(design, self.config), partial(self._finish, index, design), picture, views)
 
-    def _finish(self, index: int, design: DressedDesign, replies: Sequence[DrapeReply]) -> int | Work[int]:
+    def _finish(self, index: int, design: DressedDesign, replies: Sequence[DrapeReply]) -> int | DrapeWork[int]:
         """Finish the requested samples of a design; if a drape failed, return the next attempt instead."""
         failed = rejection(design, [reply.drape for reply in replies], self.config)
         if failed is not None:
@@ -208,12 +207,6 @@ def _sample_of(design: DressedDesign, replies: Sequence[DrapeReply], config: Mak
     return finish(design, index, config, replies[index % config.wearers] if replies else None)
 
 
-def _local_draper(config: MakeConfig) -> Draper:
-    from gcd_dataset.generator.drapers.local import LocalDraper
-
-    return LocalDraper(devices_of(config)[0])
-
-
 def _unchanged(sample: Sample) -> Sample:
     return sample
 
@@ -228,8 +221,7 @@ class _WorkerShare:
     seed: int
     indices: tuple[int, ...]
     config: MakeConfig
-    address: DraperAddress | None
-    """The draping process; ``None``: the worker drapes on the CPU."""
+    address: DraperAddress | None  # the draping process; ``None``: the worker drapes on the CPU
     finished: Callable[[Sample], Any]
     pictured: bool
 

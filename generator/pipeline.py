@@ -20,14 +20,7 @@ from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.captions import captions_text
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.garments import (
-    GarmentDesign,
-    Reject,
-    attempted_design,
-    design_to_dict,
-    garment_tags,
-    try_on,
-)
+from gcd_dataset.generator.garments import GarmentDesign, Reject, attempted_design, design_to_dict, garment_tags, try_on
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.quality import grade_of, sample_surface, strain_of
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
@@ -56,7 +49,7 @@ NO_REDRAWS: Mapping[str, int] = MappingProxyType({})
 BODIES = 32  # bodies kept, 0.8 MB each: a design is dressed again after a rejected drape, for the same wearers
 
 
-def build_pattern(size: Measurements, design: GarmentDesign, *, name: str = "outfit") -> Pattern:
+def build_pattern(size: Measurements, design: GarmentDesign, *, name: str = "garment") -> Pattern:
     """The pattern of a design for a wearer. Raises ``PatternError`` if it cannot be drawn or a rule rejects it."""
     pattern = try_on(size, design, name=name)
     if isinstance(pattern, Reject):
@@ -138,12 +131,16 @@ def prepare(
     wearers = _wearers(seed, number, config)
     sizes, counts = [wearer.size for wearer in wearers], Counter(redraws)
     while len(rejects) < config.max_attempts:
-        drawn = attempted_design(seed, number, len(rejects), sizes, config.design)
+        drawn, dressed = attempted_design(seed, number, len(rejects), sizes, config.design), []
         counts += drawn.by_rule()
-        dressed = _dress_all(seed, wearers, drawn.design, config)
-        if not isinstance(dressed, Rejected):
-            return DressedDesign(seed, number, rejects, counts, drawn.design, dressed)
-        rejects += (dressed,)
+        for wearer in wearers:
+            result = _dress(seed, wearer, drawn.design, config)
+            if isinstance(result, Reject):
+                rejects += (Rejected(wearer.index, result.rule, result.figures, result.numbers),)
+                break
+            dressed.append(result)
+        else:
+            return DressedDesign(seed, number, rejects, counts, drawn.design, tuple(dressed))
     raise PatternError(
         f"sample {number * config.wearers} of seed {seed}: {len(rejects)} designs were rejected, the last for: "
         f"{rejects[-1]}: raise max_attempts"
@@ -201,24 +198,14 @@ def _neutral_with_legs_apart() -> Body:
     return build_body(neutral_shape(legs_apart=True))
 
 
-def _dress_all(
-    seed: int, wearers: Iterable[_Wearer], design: GarmentDesign, config: MakeConfig
-) -> tuple[DressedWearer, ...] | Rejected:
-    """All wearers dressed in the design, or the rejection for the first wearer who cannot wear it."""
-    dressed = []
-    for wearer in wearers:
-        result = _dress(seed, wearer, design, config)
-        if isinstance(result, Reject):
-            return Rejected(wearer.index, result.rule, result.figures, result.numbers)
-        dressed.append(result)
-    return tuple(dressed)
-
-
 def _dress(seed: int, wearer: _Wearer, design: GarmentDesign, config: MakeConfig) -> DressedWearer | Reject:
     pattern = try_on(wearer.size, design, name=sample_key(wearer.index))
     if isinstance(pattern, Reject):
         return pattern
-    shape = _with_arm_turn(seed, wearer, config)
+    shape = wearer.shape
+    if config.arms:
+        turn = rng(seed, wearer.index, Stage.ARMS).uniform(-config.arms, config.arms)
+        shape = replace(shape, arm_angle=math.radians(turn))
     if design.meta.bottom and design.meta.bottom.garment.legs:  # measures: legs together; drape: legs apart
         shape = replace(shape, legs_apart=True)
     if shape is wearer.shape:
@@ -236,14 +223,6 @@ def _dress(seed: int, wearer: _Wearer, design: GarmentDesign, config: MakeConfig
         coarse = coarse_start(mesh)
         start = sewing_start(coarse.mesh if coarse else mesh, body)
     return DressedWearer(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse, start)
-
-
-def _with_arm_turn(seed: int, wearer: _Wearer, config: MakeConfig) -> BodyShape:
-    """The wearer's shape with a random arm angle within ± ``config.arms`` degrees, if that is not 0."""
-    if not config.arms:
-        return wearer.shape
-    turn = rng(seed, wearer.index, Stage.ARMS).uniform(-config.arms, config.arms)
-    return replace(wearer.shape, arm_angle=math.radians(turn))
 
 
 def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", ...]:
@@ -294,13 +273,10 @@ def rejection(design: DressedDesign, drapes: Sequence[Drape], config: MakeConfig
     if failed is None or config.on_fail == "keep" or last:
         return None
     drape = drapes[failed]
-    return Rejected(design.dressed[failed].index, "drape", drape.outcome.name.lower(), _drape_figures(drape))
-
-
-def _drape_figures(drape: Drape) -> dict[str, float]:
-    """The finite figures of a drape: the stretch of a diverged drape is NaN, which JSON lacks."""
     names = ("frames", "self_crossings", "body_crossings", "body_through", "stretch_median", "stretch_p99")
-    return {name: value for name in names if math.isfinite(value := getattr(drape, name))}
+    # The stretch of a diverged drape is NaN, which JSON lacks.
+    figures = {name: value for name in names if math.isfinite(value := getattr(drape, name))}
+    return Rejected(design.dressed[failed].index, "drape", drape.outcome.name.lower(), figures)
 
 
 def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeReply | None") -> Sample:
@@ -310,7 +286,16 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
     if mesh is not None:
         vertices = mesh.vertices if reply is None else reply.drape.vertices
         points = sample_surface(vertices, mesh.faces, config.points, rng(design.seed, index, Stage.POINTS))
-    drape = None if reply is None or mesh is None else _with_strain(reply.drape, mesh)
+    drape, caption = None, None
+    views: tuple[View, ...] = ()
+    if reply is not None:
+        views = tuple(View(jpeg_bytes(view.rgb), view.facts) for view in reply.views)
+        if not views and not np.isfinite(reply.drape.vertices).all():
+            views = config.views * (MISSING_VIEW,)  # every sample has the same members
+    if reply is not None and mesh is not None:
+        drape = replace(reply.drape, strain=strain_of(mesh, reply.drape.vertices))
+    if config.captions:
+        caption = captions_text(dressed.size, design.design, dressed.pattern, seed=design.seed, index=index)
     front, back = (None, None) if reply is None or reply.pictures is None else map(jpeg_bytes, reply.pictures)
     return Sample(
         key=sample_key(index),
@@ -334,28 +319,13 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         points=points,
         front=front,
         back=back,
-        views=() if reply is None else _views(reply, config),
+        views=views,
         gathers=dressed.pattern.gather_ratios(),
         tags=garment_tags(dressed.size, design.design, dressed.pattern),
         fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),
-        caption=_caption(design, dressed) if config.captions else None,
+        caption=caption,
     )
-
-
-def _caption(design: DressedDesign, wearer: DressedWearer) -> str:
-    return captions_text(wearer.size, design.design, wearer.pattern, seed=design.seed, index=wearer.index)
-
-
-def _views(reply: "DrapeReply", config: MakeConfig) -> tuple[View, ...]:
-    """The encoded views; those of a diverged drape are empty, since every sample has the same members."""
-    if not reply.views and not np.isfinite(reply.drape.vertices).all():
-        return config.views * (MISSING_VIEW,)
-    return tuple(View(jpeg_bytes(view.rgb), view.facts) for view in reply.views)
-
-
-def _with_strain(drape: Drape, mesh: BoxMesh) -> Drape:
-    return replace(drape, strain=strain_of(mesh, drape.vertices))
 
 
 def sample_fabric(seed: int, index: int, name: str) -> "Fabric":

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic, curve_points, curve_tangents, from_frame
 from gcd_dataset.errors import shown
 from gcd_dataset.generator.lay_plan import INK, RGB, LayPlan, SheetPanel, cloth_colour, lay_out, seam_colour
-from gcd_dataset.records import Panel, Pattern
+from gcd_dataset.records import Pattern
 
 __all__ = ["pattern_svg"]
 
@@ -65,26 +65,20 @@ def _panel(piece: SheetPanel, height: float) -> Node:
     name = shown(piece.panel.name)
     group = ElementTree.Element("g", {"data-panel": name, "transform": _upright(x, y)})
     ElementTree.SubElement(group, "title").text = name
-    ElementTree.SubElement(group, "path", {"d": _loop(piece.panel), "fill": _hex(cloth_colour(piece.number))})
+    steps = [_command(*piece.panel.edge_ends(i), edge.curve) for i, edge in enumerate(piece.panel.edges)]
+    loop = " ".join([f"M{_point(piece.panel.edge_ends(0)[0])}", *steps, "Z"])
+    ElementTree.SubElement(group, "path", {"d": loop, "fill": _hex(cloth_colour(piece.number))})
     for index, seam in enumerate(piece.seams):
         start, end = piece.panel.edge_ends(index)
         attributes = {"data-edge": str(index)} | ({} if seam is None else {"data-seam": str(seam)})
         line = f"M{_point(start)} {_command(start, end, piece.panel.edges[index].curve)}"
         ElementTree.SubElement(group, "path", {"d": line, "stroke": _hex(seam_colour(seam)), **attributes})
     group.append(_grain_line(piece))
-    group.append(_name(piece, name))
+    centre, room = piece.name_position()
+    fitting = NAME_SHARE * room / (LETTER_WIDTH * max(len(name), 1))
+    group.append(_text(name, centre, min(LARGEST_NAME, max(SMALLEST_NAME, fitting)), INK))
     group.extend(_seam_number(piece, index, seam) for index, seam in enumerate(piece.seams) if seam is not None)
     return group
-
-
-# --------------------------------------------------------------------------------------------------------------- paths
-
-
-def _loop(panel: Panel) -> str:
-    """The outline as one closed path."""
-    first, _ = panel.edge_ends(0)
-    steps = [_command(*panel.edge_ends(index), edge.curve) for index, edge in enumerate(panel.edges)]
-    return " ".join([f"M{_point(first)}", *steps, "Z"])
 
 
 def _command(start: Point, end: Point, curve: Curve) -> str:
@@ -115,15 +109,6 @@ def _grain_line(piece: SheetPanel) -> Node:
 def _arrow_head(x: float, tip: float, length: float) -> str:
     barb = 0.4 * length
     return f"M{_point((x - barb, tip - length))} L{_point((x, tip))} L{_point((x + barb, tip - length))}"
-
-
-# --------------------------------------------------------------------------------------------------------------- texts
-
-
-def _name(piece: SheetPanel, name: str) -> Node:
-    centre, room = piece.name_position()
-    fitting = NAME_SHARE * room / (LETTER_WIDTH * max(len(name), 1))
-    return _text(name, centre, min(LARGEST_NAME, max(SMALLEST_NAME, fitting)), INK)
 
 
 def _seam_number(piece: SheetPanel, index: int, seam: int) -> Node:

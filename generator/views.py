@@ -18,7 +18,7 @@ from gcd_dataset.records import View as StoredView
 from gcd_dataset.shards.layout import recipe_hash
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.render import Camera, Cloth, Lights, Picture, Ranges, View
+    from gcd_dataset.generator.render import Camera, Cloth, Lights, Picture, View
 
 CONVENTION = (
     "OpenCV: camera axes x right, y down, z forward; x = K (R X + t), X in cm; the centre of the upper left pixel is "
@@ -67,7 +67,7 @@ SIDE_OPTIONS = ("captions", "device", "picture", "points", "view_size", "views")
 
 def stored_body(shape: BodyShape) -> Body:
     """The body that a reader of the shards builds: from shape weights in float32. Raises ``BodyError``."""
-    return build_body(replace(shape, weights=_rounded(shape.weights)))
+    return build_body(replace(shape, weights=np.asarray(shape.weights, np.float32).astype(float)))
 
 
 def stored_scene(
@@ -83,26 +83,6 @@ def stored_scene(
     return scene_of(mesh, vertices, body, pattern=pattern, hair=hair)
 
 
-def views_of(
-    seed: int,
-    index: int,
-    scene: Scene,
-    n: int,
-    *,
-    epoch: int = 0,
-    row: int = 0,
-    fabric: str | None = None,
-    ranges: "Ranges | None" = None,
-) -> "list[View]":
-    """The drawn views of a sample, see ``draw_views``."""
-    from gcd_dataset.generator.render import draw_views
-
-    return draw_views(seed, index, scene, n, epoch=epoch, row=row, fabric=fabric, ranges=ranges)
-
-
-# ------------------------------------------------------------------------------------------------------ while draping
-
-
 def requested_scene(request: ViewRequest, mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Scene | None:
     """The scene of a request; ``None`` for a diverged drape, which cannot be rendered."""
     if not np.isfinite(vertices).all():
@@ -116,15 +96,14 @@ def requested_views(request: ViewRequest, scene: Scene | None, *, row: int = 0) 
     """The views of a request; none without a scene."""
     if scene is None:
         return []
-    return views_of(request.seed, request.index, scene, request.count, row=row, fabric=request.fabric)
+    from gcd_dataset.generator.render import draw_views
+
+    return draw_views(request.seed, request.index, scene, request.count, row=row, fabric=request.fabric)
 
 
 def finished_view(view: "View", picture: "Picture", scene: Scene) -> RenderedView:
     """The picture of a view with its facts."""
     return RenderedView(picture.rgb, view_facts(view, picture, scene))
-
-
-# -------------------------------------------------------------------------------------------------------------- facts
 
 
 def view_facts(view: "View", picture: "Picture", scene: Scene) -> dict[str, Any]:
@@ -186,10 +165,6 @@ def _cloth_facts(cloth: "Cloth") -> dict[str, Any]:
 def _numbers(values: Sequence[Any] | np.ndarray) -> Any:
     """Nested lists of floats."""
     return np.asarray(values, float).tolist()
-
-
-def _rounded(values: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    return np.asarray(values, np.float32).astype(float)
 
 
 MISSING_VIEW = StoredView(

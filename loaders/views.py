@@ -151,7 +151,7 @@ class Views(SceneTransform):
         return entries
 
     def _render_chunk(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
-        from gcd_dataset.generator.views import views_of
+        from gcd_dataset.generator.render import draw_views
 
         scenes: list[Scene] = []
         views: list[View] = []
@@ -160,7 +160,7 @@ class Views(SceneTransform):
             seed = garment.picture_seed(self.seed)
             scenes.append(self._scene(garment, seed, use))
             options: dict[str, Any] = {"epoch": use, "row": row, "fabric": garment.fabric, "ranges": self.ranges}
-            views += views_of(seed, garment.index, scenes[row], self.n, **options)
+            views += draw_views(seed, garment.index, scenes[row], self.n, **options)
         with self._pictures(scenes, views) as pictures:
             return [self._entries(pictures[row * self.n : (row + 1) * self.n]) for row in range(len(items))]
 

@@ -26,7 +26,7 @@ from gcd_dataset.cli.common import Stopped, interrupts_after_imports
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, measure, named_body, neutral_shape, read_body, read_measurements
 from gcd_dataset.generator.fitting import drape_patterns
-from gcd_dataset.generator.garments import GarmentDesign, outfit, read_design
+from gcd_dataset.generator.garments import GarmentDesign, draw_garment, read_design
 from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.design import MetaDesign
 from gcd_dataset.generator.garments.overlay import Overlay
@@ -362,7 +362,7 @@ def test_fit_draws_a_design_for_a_body_and_drapes_it(tmp_path: Path, capsys: pyt
     assert "on this body, too_heavy: length 0.10 and 1.20 suns" in one_line(said.err)
     _, size, _ = named_body("female:7")
     drawn = read_pattern(out / "mini_specification.json")
-    assert spec_from_pattern(drawn) == spec_from_pattern(outfit(size, read_design(file)))
+    assert spec_from_pattern(drawn) == spec_from_pattern(draw_garment(size, read_design(file)))
     written = read_measurements(out / "mini_body_measurements.yaml")
     assert written.to_file_values() == pytest.approx(size.to_file_values())
     for ending in ("_pattern.svg", "_front.png", "_pattern.png"):
@@ -400,7 +400,7 @@ def test_a_garment_that_slides_off_ends_with_1(
         meta=MetaDesign(upper=None, bottom=Bottom.CIRCLE), flare_skirt=FlareSkirtDesign(length=0.2, suns=0.5)
     )
     spec = tmp_path / "wide_specification.json"
-    write_pattern(outfit(stouter(size, 1.5), design), spec)
+    write_pattern(draw_garment(stouter(size, 1.5), design), spec)
     drapes: list[Any] = []
 
     def kept(*given: Any, **options: Any) -> Iterator[Any]:

@@ -93,7 +93,7 @@ BAD_INPUT = [
     ("drape text.txt --out reports --quiet", "text.txt: "),
     ("fit missing.yaml --out out", "missing.yaml: no such file"),
     ("fit text.txt --out out", "text.txt: holds 'neither', no design: give GarmentCode's"),
-    ("fit empty.yaml --out out", "empty.yaml: an outfit without upper and bottom: choose meta.upper or meta.bottom"),
+    ("fit empty.yaml --out out", "empty.yaml: a garment without upper and bottom: choose meta.upper or meta.bottom"),
     (
         "fit crossed.yaml --out out",
         "crossed.yaml: cannot be sewn for this body: .*narrow_strap: panel right_ftorso: 0.8 cm",

@@ -19,7 +19,7 @@ from benchmarks.comparison import FigureDifference, compare
 from gcd_dataset.curves import curve_length
 from gcd_dataset.errors import BodyError, ConfigError, PatternError, SpecError
 from gcd_dataset.generator.body import read_measurements
-from gcd_dataset.generator.garments import outfit
+from gcd_dataset.generator.garments import draw_garment
 from gcd_dataset.generator.garments.design import GarmentDesign, read_design
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.jsonfile import read_toml
@@ -139,7 +139,7 @@ def _verdict(
     name: str, size: Measurements, design: GarmentDesign, theirs: Pattern, left_out: tuple[Mend, ...]
 ) -> Verdict:
     try:
-        ours = outfit(size, design, mends=ALL_MENDS - set(left_out))
+        ours = draw_garment(size, design, mends=ALL_MENDS - set(left_out))
     except PatternError as error:
         return Verdict(name, (f"cannot be drawn: {error}",), (), ())
     found = compare(ours, theirs)

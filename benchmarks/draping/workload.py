@@ -14,7 +14,7 @@ from benchmarks.reference_sampler import reference_design, reject_reason
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob
 from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
-from gcd_dataset.generator.garments import outfit
+from gcd_dataset.generator.garments import draw_garment
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
 from gcd_dataset.generator.pipeline import prepare
@@ -67,7 +67,7 @@ def _reference_worn(seed: int, wearer: Wearer, wearer_apart: Wearer, resolution:
     size = wearer[1]
     drawn = (reference_design(rng(seed, number, Stage.DESIGN, attempt)) for attempt in count())
     design = next(design for design in drawn if not reject_reason(design, [size]))
-    pattern = outfit(size, design, mends=frozenset())
+    pattern = draw_garment(size, design, mends=frozenset())
     body, size = wearer_apart if has_legs(pattern) else wearer
     mesh = build_box_mesh(dress(pattern, body, size).pattern, spacing=resolution)
     coarse = coarse_start(mesh)

@@ -30,8 +30,8 @@ from benchmarks.reconstruction.learners import TensorExamples, mean_of
 from benchmarks.reconstruction.panel_net import NEVER
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.faults import Severity, check_pattern
-from gcd_dataset.generator.garments import GarmentDesign, design_to_dict, outfit
-from gcd_dataset.generator.garments.outfit import BACKS
+from gcd_dataset.generator.garments import GarmentDesign, design_to_dict, draw_garment
+from gcd_dataset.generator.garments.assembly import BACKS
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.space import DesignSpace
 from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
@@ -310,7 +310,7 @@ def _tried(design: GarmentDesign, size: Measurements, usual: Measurements, numbe
             design = _with_defaults(design)
         if number == 4:
             design = decode_design(encode_design({"meta": {"bottom": Bottom.CIRCLE.value}}))
-        pattern = outfit(size if number < 3 else usual, design)
+        pattern = draw_garment(size if number < 3 else usual, design)
     except GcdError:
         return None
     return None if any(fault.severity is Severity.ERROR for fault in check_pattern(pattern)) else pattern

@@ -94,14 +94,10 @@ def landmark_table() -> LandmarkTable:
         {name: entry["vertex"] for name, entry in table["points"].items()},
         rings,
         table["levels"],
-        _beside(table["beside"]),
+        # The file's offsets for the left side, mirrored for the right side.
+        {f"{name}_right": np.array(share) * MIRROR for name, share in table["beside"].items()}
+        | {f"{name}_left": np.array(share) for name, share in table["beside"].items()},
     )
-
-
-def _beside(shares: Mapping[str, list[float]]) -> dict[str, Float[np.ndarray, "3"]]:
-    """Offsets by point: the file's for the left side, mirrored for the right side."""
-    right = {f"{name}_right": np.array(share) * MIRROR for name, share in shares.items()}
-    return right | {f"{name}_left": np.array(share) for name, share in shares.items()}
 
 
 def refinement(

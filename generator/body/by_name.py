@@ -1,14 +1,18 @@
-"""Bodies by name: ``neutral``, ``random:7``, or the path of a mesh file."""
+"""Bodies by name: ``neutral``, ``random:7``, or the path of a mesh file; and the people of a body set."""
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from gcd_dataset.bodies import BodyMesh, Person
 from gcd_dataset.bodyfiles import read_measurements, require_same_body
-from gcd_dataset.errors import BodyError, shown
+from gcd_dataset.errors import BodyError, ConfigError, shown
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.measuring import measure
 from gcd_dataset.generator.body.mesh_bodies import read_body
-from gcd_dataset.generator.body.shape import GROUPS, build_body, draw_shape, named_shape
+from gcd_dataset.generator.body.shape import GROUPS, build_body, draw_from, draw_shape, named_shape
 from gcd_dataset.records import Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 
@@ -64,3 +68,33 @@ def _seed(name: str, text: str) -> int:
             f"{shown(name[:60])}: the seed is {text[:60]!r}: give a whole number of 0 or more, such as {kind}:7"
         )
     return int(text)
+
+
+def people_recipe(bodies: str) -> dict[str, Any]:
+    """The options of a person besides seed, index and mesh, as stored in a body set's manifest.
+
+    Raises ``ConfigError`` unless ``bodies`` is one of ``GROUPS``.
+    """
+    if bodies not in GROUPS:
+        raise ConfigError(f"bodies is {bodies!r}: a body set is drawn from {', '.join(GROUPS)}")
+    return {"stage": "body", "bodies": bodies}
+
+
+def make_person(seed: int, index: int, *, bodies: str = "random") -> Person:
+    """Person ``index`` of ``seed``: the drawn body that wears design ``index`` of a data set with these ``bodies``."""
+    kind, shape = draw_from(bodies, rng(seed, index, Stage.BODY))
+    name = f"{kind}:{seed}:{index}"
+    straight, apart = build_body(shape, name=name), build_body(replace(shape, legs_apart=True), name=name)
+    return Person(
+        name=name,
+        shape=shape,
+        straight=straight.vertices.astype(np.float32),
+        apart=apart.vertices.astype(np.float32),
+        measurements=measure(straight),
+    )
+
+
+def model_mesh() -> BodyMesh:
+    """The body model's mesh, shared by all people."""
+    model = body_model()
+    return BodyMesh(model.faces, model.parts)

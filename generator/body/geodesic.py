@@ -7,10 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.surface import SkinSurface
+from gcd_dataset.generator.body.surface import SkinSurface, near
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Record
 
@@ -57,7 +56,9 @@ class GeodesicGraph(Record):
         links, first = links.T[:, distinct].T, first[distinct]
         shares = np.arange(1, points_per_edge + 1) / (points_per_edge + 1)
         face, pair = np.divmod(first, nodes.shape[1] ** 2)
-        weights = _three_a_row(_square_weights(shares)[pair], face_edges[face], len(edges))
+        values, columns = _square_weights(shares)[pair], face_edges[face]
+        rows = np.arange(0, values.size + 1, 3)  # three entries in each
+        weights = csr_matrix((values.ravel(), columns.ravel(), rows), shape=(len(values), len(edges)))
         ends = np.searchsorted(corners, [start, end])
         return cls(corners, edges, shares, links, _row_starts(links, count), weights, (int(ends[0]), int(ends[1])))
 
@@ -123,11 +124,6 @@ def _square_weights(shares: Float[np.ndarray, " k"]) -> Float[np.ndarray, "p 3"]
     return -step * np.roll(step, -1, axis=1)
 
 
-def _three_a_row(values: Float[np.ndarray, "l 3"], columns: Int[np.ndarray, "l 3"], width: int) -> csr_matrix:
-    """A sparse matrix with three entries in each row."""
-    return csr_matrix((values.ravel(), columns.ravel(), np.arange(0, values.size + 1, 3)), shape=(len(values), width))
-
-
 def graph_between(
     vertices: Float[np.ndarray, "v 3"],
     faces: Int[np.ndarray, "f 3"],
@@ -146,11 +142,12 @@ def graph_between(
     longest = float(np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2).max())
     for width in (0.15, 0.3, 0.6):
         straight = np.linspace(start, end, 100)
-        tube = faces[_near(vertices, straight, width * apart)[faces].any(axis=1)]
+        tube = faces[near(vertices, straight, width * apart)[faces].any(axis=1)]
         rough = GeodesicGraph.over(tube, first, last, points_per_edge=1)
         if np.isfinite(rough.length(vertices)):
-            path = rough.path(vertices)
-            band = tube[_near(vertices, _resampled(path), max(BAND * apart, longest))[tube].any(axis=1)]
+            path, shares = rough.path(vertices), np.linspace(0.0, 1.0, 5)[:, None, None]
+            finer = (path[:-1] + shares * np.diff(path, axis=0)).reshape(-1, 3)  # three more points in each segment
+            band = tube[near(vertices, finer, max(BAND * apart, longest))[tube].any(axis=1)]
             return GeodesicGraph.over(band, first, last, points_per_edge=4), vertices
     raise BodyError("no skin leads from the shoulder to the wrist: correct the mesh of the right arm")
 
@@ -166,13 +163,3 @@ def _with_points(
         new = len(vertices) - 1
         faces = np.concatenate([np.delete(faces, split, axis=0), [(a, b, new), (b, c, new), (c, a, new)]])
     return faces, vertices
-
-
-def _near(vertices: np.ndarray, path: np.ndarray, radius: float) -> np.ndarray:
-    return cKDTree(path).query(vertices, distance_upper_bound=radius)[0] < radius
-
-
-def _resampled(path: np.ndarray) -> np.ndarray:
-    """The path with three more points in each segment."""
-    shares = np.linspace(0.0, 1.0, 5)[:, None, None]
-    return (path[:-1] + shares * np.diff(path, axis=0)).reshape(-1, 3)

@@ -4,10 +4,10 @@ A user may give landmarks in a JSON file such as ``{"shoulder_right": 1557, "wai
 a vertex id or a position in the coordinates of the mesh file, a ring a list of them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float
@@ -61,15 +61,6 @@ def levels_of(rings: Mapping[str, Float[np.ndarray, "n 3"]], height: float) -> d
     return {name: float(rings[name][:, 1].mean()) + above.get(name, 0.0) * height for name in LEVEL_RINGS}
 
 
-# ------------------------------------------------------------------------------------------------------- given by hand
-
-
-class _Transform(Protocol):
-    """A map from the mesh file's coordinates to the measured body's [cm]."""
-
-    def apply(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]: ...
-
-
 @dataclass(frozen=True, eq=False)
 class GivenLandmarks(Record):
     """Landmarks given by a user, in the mesh file's coordinates."""
@@ -77,10 +68,13 @@ class GivenLandmarks(Record):
     points: Mapping[str, Float[np.ndarray, "3"]]
     rings: Mapping[str, Float[np.ndarray, "n 3"]]
 
-    def override(self, found: Landmarks, transform: _Transform) -> Landmarks:
-        """The found landmarks, replaced by the given ones, with confidence 1."""
-        points = {name: transform.apply(at[None])[0] for name, at in self.points.items()}
-        rings = {name: transform.apply(ring) for name, ring in self.rings.items()}
+    def override(self, found: Landmarks, placed: Callable[[np.ndarray], np.ndarray]) -> Landmarks:
+        """The found landmarks, replaced by the given ones, with confidence 1.
+
+        ``placed`` maps points (n, 3) in the mesh file's coordinates to the measured body's [cm].
+        """
+        points = {name: placed(at[None])[0] for name, at in self.points.items()}
+        rings = {name: placed(ring) for name, ring in self.rings.items()}
         certain = dict.fromkeys([*points, *rings], 1.0)
         return replace(found.with_points(points).with_rings(rings), confidence={**found.confidence, **certain})
 

@@ -66,7 +66,8 @@ def limbs_of(body: Body) -> Mapping[BodyPart, Limb]:
     for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM):
         arm = _points_of(body, part)
         if len(arm) > MIN_POINTS:
-            limbs[part] = _arm(arm)
+            centre, axis = arm.mean(axis=0), _long_axis(arm)
+            limbs[part] = _tube(arm, axis if abs(centre[0] + axis[0]) > abs(centre[0]) else -axis)  # off the trunk
     return MappingProxyType(limbs)
 
 
@@ -76,15 +77,18 @@ def leg_of(body: Body, part: BodyPart) -> Limb | None:
 
 
 @kept_per_body
-def _legs_of(body: Body) -> Mapping[BodyPart, Limb | None]:
-    return {part: _leg(_points_of(body, part)) for part in (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)}
+def _legs_of(body: Body) -> Mapping[BodyPart, Limb]:
+    legs = {}
+    for part in (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG):
+        leg = _points_of(body, part)
+        if len(leg) > MIN_POINTS:
+            axis = _long_axis(leg)
+            legs[part] = _tube(leg, axis if axis[1] < 0.0 else -axis)
+    return legs
 
 
-def _leg(leg: Float[np.ndarray, "n 3"]) -> Limb | None:
-    if len(leg) <= MIN_POINTS:
-        return None
-    axis = np.linalg.svd(leg - leg.mean(axis=0), full_matrices=False)[2][0]
-    return _tube(leg, axis if axis[1] < 0.0 else -axis)
+def _long_axis(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+    return np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][0]
 
 
 def _points_of(body: Body, *parts: BodyPart) -> Float[np.ndarray, "n 3"]:
@@ -95,12 +99,6 @@ def _points_of(body: Body, *parts: BodyPart) -> Float[np.ndarray, "n 3"]:
     columns = points.T.copy()  # NumPy reduces rows many times as fast as columns
     low, high = np.percentile(columns, [OUTLIERS, 100 - OUTLIERS], axis=1, keepdims=True)
     return points[((columns >= low - OUTLIER_DISTANCE) & (columns <= high + OUTLIER_DISTANCE)).all(axis=0)]
-
-
-def _arm(arm: Float[np.ndarray, "n 3"]) -> Limb:
-    centre = arm.mean(axis=0)
-    axis = np.linalg.svd(arm - centre, full_matrices=False)[2][0]
-    return _tube(arm, axis if abs(centre[0] + axis[0]) > abs(centre[0]) else -axis)  # away from the trunk
 
 
 def _tube(skin: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]) -> Limb:

@@ -13,7 +13,6 @@ from gcd_dataset.generator.body.arms import A_POSE_TOLERANCE, ArmPose, model_mes
 from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.geodesic import graph_between
 from gcd_dataset.generator.body.landmarks import GivenLandmarks, Landmarks, levels_of, model_landmarks
-from gcd_dataset.generator.body.measures import sinking
 from gcd_dataset.generator.body.register import (
     Registration,
     UprightScan,
@@ -22,9 +21,9 @@ from gcd_dataset.generator.body.register import (
     registration_at,
     unit_of,
 )
-from gcd_dataset.generator.body.repair import Scan, VisibleSkin, kept_mesh
+from gcd_dataset.generator.body.repair import BodyScan, VisibleSkin, kept_mesh
 from gcd_dataset.generator.body.section import contour_length, girth, loops, rough_girths, section, section_points
-from gcd_dataset.generator.body.surface import SkinSurface
+from gcd_dataset.generator.body.surface import SkinSurface, near
 from gcd_dataset.generator.body.tailor import (
     GIRTHS,
     MeasureResult,
@@ -32,6 +31,7 @@ from gcd_dataset.generator.body.tailor import (
     measure_at,
     model_sites,
     relative_height,
+    sinking,
     sites_of,
 )
 from gcd_dataset.meshedges import mesh_edges
@@ -46,7 +46,7 @@ HALF_CONFIDENCE = 1.5  # cm of misfit at which the confidence is 0.5
 
 
 def find_landmarks(
-    scan: Scan, surface: SkinSurface, registration: Registration, scale: float, shift: Float[np.ndarray, "3"]
+    scan: BodyScan, surface: SkinSurface, registration: Registration, scale: float, shift: Float[np.ndarray, "3"]
 ) -> Landmarks:
     """The model's landmarks projected to the nearest skin.
 
@@ -57,17 +57,17 @@ def find_landmarks(
     model = model_landmarks(registration.vertices)
     offsets = {name: model_height() * share for name, share in landmark_table().beside.items()}
     expected = {name: (at + offsets.get(name, 0.0))[None] for name, at in model.points.items()} | dict(model.rings)
-    near = {name: surface.nearest(at) for name, at in expected.items()}
+    nearest = {name: surface.nearest(at) for name, at in expected.items()}
     tree = cKDTree(registration.vertices)
     confidence = {}
-    for name, at in near.items():
+    for name, at in nearest.items():
         around = np.unique(np.concatenate([*tree.query_ball_point(at.points, CONFIDENCE_RADIUS), []])).astype(int)
         misfit = np.sqrt((registration.distances[around] ** 2).mean()) if len(around) else np.inf
         patched = scan.patched[at.faces].mean()
         confidence[name] = float((1 - patched) / (1 + (misfit / HALF_CONFIDENCE) ** 2))
-    points = {name: (near[name].points[0] - shift) / scale for name in model.points}
-    rings = {name: (near[name].points - shift) / scale for name in model.rings}
-    wrist = _near(scan.vertices, rings["wrist_right"], WRIST_REACH / scale)[scan.faces].all(axis=1)
+    points = {name: (nearest[name].points[0] - shift) / scale for name in model.points}
+    rings = {name: (nearest[name].points - shift) / scale for name in model.rings}
+    wrist = near(scan.vertices, rings["wrist_right"], WRIST_REACH / scale)[scan.faces].all(axis=1)
     rings["wrist_right"] = narrowest_ring(
         scan.vertices, scan.faces[wrist], rings["wrist_right"], WRIST_SEARCH / scale, scan.patched[wrist]
     )
@@ -103,10 +103,6 @@ def narrowest_ring(
     return hull @ np.stack([across, normal, along]) + middle
 
 
-def _near(vertices: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    return cKDTree(points).query(vertices, distance_upper_bound=radius)[0] < radius
-
-
 def find_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) -> UInt8[np.ndarray, " v"]:
     """``BodyPart`` of each vertex, from the model's nearest skin vertex; internal if well behind the skin."""
     model = body_model()
@@ -115,8 +111,8 @@ def find_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) -
     parts = model.parts[skin[cKDTree(registration.vertices[skin]).query(vertices)[1]]]
     candidates = np.flatnonzero(internal[cKDTree(registration.vertices).query(vertices)[1]])
     closed = VisibleSkin.of(model.faces, model.parts)
-    near = SkinSurface.of(closed.points(registration.vertices), closed.faces).nearest(vertices[candidates])
-    behind = np.einsum("vi,vi->v", vertices[candidates] - near.points, near.normals) < -BEHIND
+    skin_at = SkinSurface.of(closed.points(registration.vertices), closed.faces).nearest(vertices[candidates])
+    behind = np.einsum("vi,vi->v", vertices[candidates] - skin_at.points, skin_at.normals) < -BEHIND
     parts[candidates[behind]] = BodyPart.INTERNAL.value
     return parts
 
@@ -144,7 +140,7 @@ CHECKED_POINTS = ("nape_of_neck", "neck_right", "shoulder_left", "shoulder_right
 X, Y, Z = 0, 1, 2
 
 
-def require_body_alone(scan: Scan, surface: SkinSurface, registration: Registration, name: str) -> None:
+def require_body_alone(scan: BodyScan, surface: SkinSurface, registration: Registration, name: str) -> None:
     """Raise ``BodyError`` if a body part is missing, or the mesh holds other objects.
 
     ``surface`` is the scan's surface, scaled to the model's height.
@@ -174,7 +170,7 @@ def require_body_alone(scan: Scan, surface: SkinSurface, registration: Registrat
             raise BodyError(f"{name}: something lies {end - model:.0f} cm {words}: leave only the body in the mesh")
 
 
-def require_skin(scan: Scan, marks: Landmarks, sites: Sites, result: MeasureResult, name: str) -> None:
+def require_skin(scan: BodyScan, marks: Landmarks, sites: Sites, result: MeasureResult, name: str) -> None:
     """Raise ``BodyError`` if a landmark or a tape lies on a patch over a hole."""
     patches = scan.faces[scan.patched]
     if not len(patches):
@@ -190,16 +186,14 @@ def require_skin(scan: Scan, marks: Landmarks, sites: Sites, result: MeasureResu
     _require_bridgeable(scan, _common(patches, sites.breast), X, over_bust, "waist_over_bust_line", name)
 
 
-def _require_bridgeable(scan: Scan, patches: np.ndarray, axis: int, level: float, measure: str, name: str) -> None:
-    bridged = _longest_run(section(scan.vertices, patches, axis, level)) if len(patches) else 0.0
+def _require_bridgeable(scan: BodyScan, patches: np.ndarray, axis: int, level: float, measure: str, name: str) -> None:
+    if not len(patches):
+        return
+    segments = section(scan.vertices, patches, axis, level)
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    bridged = float(np.bincount(loops(segments), length).max(initial=0.0))  # the longest connected line
     if bridged > MAX_BRIDGED * relative_height(scan.vertices):
         raise BodyError(f"{name}: {measure} crosses {bridged:.0f} cm of a hole in the skin: close it")
-
-
-def _longest_run(segments: Float[np.ndarray, "s 2 3"]) -> float:
-    """Length of the longest connected line of a section's segments [cm]."""
-    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
-    return float(np.bincount(loops(segments), length).max(initial=0.0))
 
 
 def _common(patches: Int[np.ndarray, "a 3"], band: Int[np.ndarray, "b 3"]) -> Int[np.ndarray, "c 3"]:
@@ -209,7 +203,7 @@ def _common(patches: Int[np.ndarray, "a 3"], band: Int[np.ndarray, "b 3"]) -> In
     return np.array(common, int).reshape(-1, 3)
 
 
-def require_free_limbs(scan: Scan, parts: UInt8[np.ndarray, " v"], result: MeasureResult, name: str) -> None:
+def require_free_limbs(scan: BodyScan, parts: UInt8[np.ndarray, " v"], result: MeasureResult, name: str) -> None:
     """Raise ``BodyError`` if an arm is merged with the trunk at a girth's level, as in scans with lowered arms."""
     arms = np.isin(parts, [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value, BodyPart.HANDS.value])
     for key in GIRTHS:
@@ -220,7 +214,7 @@ def require_free_limbs(scan: Scan, parts: UInt8[np.ndarray, " v"], result: Measu
             )
 
 
-def underbust_uncertainty(scan: Scan, sites: Sites, result: MeasureResult, misfit: float) -> float:
+def underbust_uncertainty(scan: BodyScan, sites: Sites, result: MeasureResult, misfit: float) -> float:
     """Change of the underbust over the possible error of its level [cm]; infinite off the skin.
 
     Other girths are extrema over their levels; the underbust level is the lower end of the breast on the registered
@@ -233,7 +227,7 @@ def underbust_uncertainty(scan: Scan, sites: Sites, result: MeasureResult, misfi
     return float(np.abs(girths - girths[1]).max()) if len(girths) == 3 else np.inf
 
 
-def joined_arm_contour(scan: Scan, arms: np.ndarray, level: float) -> float:
+def joined_arm_contour(scan: BodyScan, arms: np.ndarray, level: float) -> float:
     """Length of the arms' contour in the loops of a level section that also contain trunk [cm]."""
     heights = scan.vertices[scan.faces, Y]
     cut = scan.faces[(heights.min(axis=1) <= level) & (heights.max(axis=1) > level)]
@@ -318,7 +312,7 @@ def find_body(
     another pose are moved to the A-pose first; only ``arm_pose_angle`` refers to the given pose. Raises ``BodyError``
     if no body is found, or if a measure could not be trusted.
     """
-    upright, registration = find_upright(Scan.of(vertices, faces, name), name)
+    upright, registration = find_upright(BodyScan.of(vertices, faces, name), name)
     if not in_cm:
         upright = upright.in_cm(unit_of(float(np.ptp(upright.scan.vertices[:, 1])), name, height))
     scan, scale, shift, misfit = upright.scan, upright.scale, upright.shift, registration.alignment.misfit
@@ -339,7 +333,7 @@ def find_body(
     try:
         marks = find_landmarks(posed.scan, posed.surface, posed.registration, scale, shift)
         if given is not None:
-            marks = given.override(marks, posed)
+            marks = given.override(marks, posed.apply)
         arm, extended = graph_between(
             posed.scan.vertices, scan.faces, marks.points["shoulder_right"], marks.points["wrist_right"]
         )
@@ -378,9 +372,8 @@ class _InAPose(Record):
     """An upright scan with its arms moved to the A-pose, unless they are within ``A_POSE_TOLERANCE`` of it."""
 
     upright: UprightScan
-    arms: ArmPose | None
-    """The arms' original pose; ``None``: not moved."""
-    scan: Scan
+    arms: ArmPose | None  # the arms' original pose; ``None``: not moved
+    scan: BodyScan
     surface: SkinSurface
     registration: Registration
 

@@ -4,11 +4,10 @@ import contextlib
 import io
 import logging
 import re
-import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -23,7 +22,6 @@ from gcd_dataset.generator.body.register import UNITS, unit_of
 from gcd_dataset.generator.body.repair import ClosedSkin, is_convex, kept_mesh
 from gcd_dataset.generator.body.shape import stand
 from gcd_dataset.generator.body.tailor import USUAL_HEIGHT, MeasureResult
-from gcd_dataset.jsonfile import parse_json
 from gcd_dataset.measurements import MEASURE
 from gcd_dataset.records import Body, Measurements, Record
 
@@ -31,85 +29,8 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 
-MAGIC, JSON_CHUNK = b"glTF", b"JSON"
-COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
-MAX_NODES = 2_000  # a rigged figure has some hundred
-MAX_STEPS = 10_000_000  # of placing the meshes: trimesh takes the cube of a mesh's depth in the tree of nodes
-MAX_CORNERS = 6_000_000  # triangle corners, counted for each node that uses a mesh
+COMPRESSED = (b"KHR_draco_mesh_compression", b"EXT_meshopt_compression")  # of glTF
 REMEDY = "export the mesh again"
-
-
-def require_readable(content: bytes, path: Path) -> None:
-    """Raise ``BodyError`` for content that is not GLB, or that would exhaust memory or recursion when parsed."""
-    if len(content) < 20 or content[:4] != MAGIC or content[16:20] != JSON_CHUNK:
-        raise BodyError(f"{path}: is not binary glTF 2.0: {REMEDY}")
-    length = struct.unpack("<I", content[12:16])[0]
-    tree = parse_json(content[20 : 20 + length], source=str(path), remedy=REMEDY, error=BodyError)
-    if not isinstance(tree, dict):
-        raise BodyError(f"{path}: its JSON is not an object: {REMEDY}")
-    parts = {name: _objects(tree, name, path) for name in ("accessors", "bufferViews", "meshes", "nodes")}
-    extensions = tree.get("extensionsUsed") or ()
-    if compression := next((name for name in COMPRESSED if name in str(extensions)), None):
-        raise BodyError(f"{path}: is compressed by {compression}: export it without compression")
-    declared = [accessor.get("count") for accessor in parts["accessors"]]
-    counts = [count for count in declared if type(count) is int and count >= 0]
-    if len(counts) < len(declared) or sum(counts) > len(content):
-        raise BodyError(f"{path}: declares more numbers than it holds: {REMEDY}")
-    _require_tree(parts["nodes"], path)
-    corners = [_corners(mesh, counts) for mesh in parts["meshes"]]
-    used_meshes = [node["mesh"] for node in parts["nodes"] if "mesh" in node]
-    if not all(type(mesh) is int and 0 <= mesh < len(corners) for mesh in used_meshes):
-        raise BodyError(f"{path}: a node refers to a missing mesh: {REMEDY}")
-    if (pieces := sum(len(_primitives(parts["meshes"][mesh])) for mesh in used_meshes)) > MAX_NODES:
-        raise BodyError(f"{path}: {pieces} pieces of meshes, more than {MAX_NODES}: export one mesh")
-    if sum(corners[mesh] for mesh in used_meshes) > MAX_CORNERS:
-        raise BodyError(f"{path}: more than {MAX_CORNERS // 3} triangles: decimate the mesh")
-
-
-def _objects(tree: Mapping[str, Any], name: str, path: Path) -> Sequence[Mapping[str, Any]]:
-    entries = tree.get(name, [])
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise BodyError(f"{path}: its {name} are not a list of objects: {REMEDY}")
-    if len(entries) > MAX_NODES:
-        raise BodyError(f"{path}: {len(entries)} {name}, more than {MAX_NODES}: export one mesh")
-    return entries
-
-
-def _require_tree(nodes: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Raise ``BodyError`` for cycles of nodes, nodes with two parents, and invalid children."""
-    children = [node.get("children", []) for node in nodes]
-    flat = [child for row in children if isinstance(row, list) for child in row]
-    valid = all(isinstance(row, list) for row in children) and all(type(child) is int for child in flat)
-    if not valid or len(set(flat)) < len(flat) or not set(flat) <= set(range(len(nodes))):
-        raise BodyError(f"{path}: its nodes are not a tree: {REMEDY}")
-    with_parent = set(flat)
-    reached = [number for number in range(len(nodes)) if number not in with_parent]
-    depth = dict.fromkeys(reached, 1)
-    for number in reached:
-        reached += children[number]
-        depth |= dict.fromkeys(children[number], depth[number] + 1)
-    if len(reached) < len(nodes):
-        raise BodyError(f"{path}: its nodes contain each other: {REMEDY}")
-    if sum(depth[number] ** 3 for number, node in enumerate(nodes) if "mesh" in node) > MAX_STEPS:
-        raise BodyError(f"{path}: its meshes lie below too many nodes: export one mesh")
-
-
-def _primitives(mesh: Mapping[str, Any]) -> Sequence[Any]:
-    primitives = mesh.get("primitives", [])
-    return primitives if isinstance(primitives, list) else []
-
-
-def _corners(mesh: Mapping[str, Any], counts: Sequence[int]) -> int:
-    """Number of triangle corners of a mesh."""
-    total = 0
-    for primitive in _primitives(mesh):
-        if isinstance(primitive, dict):
-            attributes = primitive.get("attributes")
-            number = primitive.get("indices", attributes.get("POSITION") if isinstance(attributes, dict) else None)
-            total += counts[number] if type(number) is int and 0 <= number < len(counts) else 0
-    return total
-
-
 MAX_BYTES = 512 << 20  # a scan of a million triangles has 100 MB as OBJ text
 MAX_FACES = 2_000_000  # scans have up to a million; larger ones take minutes and 10 GB
 MAIN_SHARE = 0.8  # share of the total area above which one of several meshes is taken for the body
@@ -133,8 +54,9 @@ def read_mesh(path: Path) -> _Mesh:
     except BodyError:
         raise
     except Exception as error:  # trimesh raises any exception for malformed files
-        kind = path.suffix[1:].upper()
-        raise BodyError(f"{path}: cannot be read as {kind} ({_first_line(error)}): {REMEDY}") from error
+        kind, text = path.suffix[1:].upper(), " ".join(str(error).split())
+        reason = ascii(text[:80])[1:-1] or type(error).__name__
+        raise BodyError(f"{path}: cannot be read as {kind} ({reason}): {REMEDY}") from error
     if not len(faces):
         raise BodyError(f"{path}: holds no triangles: {REMEDY}")
     if len(faces) > MAX_FACES:
@@ -154,10 +76,6 @@ def _read_obj(content: bytes, path: Path) -> _Mesh:
     if odd := re.search(rb"^f.*\s(-\d+|\+?0+)(?!\S)", plain, re.MULTILINE):
         raise ValueError(f"a face names vertex {odd[1].decode()}, but OBJ counts from 1")
     return _arrays(_loaded(io.StringIO(plain.decode("ascii", errors="replace")), "obj"))
-
-
-def _read_ply(content: bytes, path: Path) -> _Mesh:
-    return _arrays(_loaded(io.BytesIO(content), "ply"))
 
 
 def _read_stl(content: bytes, path: Path) -> _Mesh:
@@ -183,7 +101,8 @@ def _with_model_numbering(corners: Float[np.ndarray, "f 3 3"]) -> _Mesh | None:
 def _read_glb(content: bytes, path: Path) -> _Mesh:
     import trimesh
 
-    require_readable(content, path)
+    if compression := next((name for name in COMPRESSED if name in content), None):
+        raise BodyError(f"{path}: is compressed by {compression.decode()}: export it without compression")
     scene = trimesh.load(io.BytesIO(content), file_type="glb", force="scene", process=False, skip_materials=True)
     meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]  # with transforms
     areas = [mesh.area for mesh in meshes if not is_convex(np.asarray(mesh.vertices))]  # leaves out a floor
@@ -214,14 +133,9 @@ def _trimesh_silent() -> Iterator[None]:
         logger.disabled = previous
 
 
-def _first_line(error: BaseException) -> str:
-    text = " ".join(str(error).split())
-    return ascii(text[:80])[1:-1] or type(error).__name__
-
-
 READERS: Mapping[str, Callable[[bytes, Path], _Mesh]] = {
     ".obj": _read_obj,
-    ".ply": _read_ply,
+    ".ply": lambda content, path: _arrays(_loaded(io.BytesIO(content), "ply")),
     ".stl": _read_stl,
     ".glb": _read_glb,
 }
@@ -273,13 +187,23 @@ def read_body(
         if size is None or file.parts is None:
             raise
         log.warning("%s; taken as it stands, y up and facing +z, with the given measures and parts", error)
-        body, ours = _as_it_stands(file, file.parts, height)
+        # No body is found, for example in a dress form.
+        tall = float(np.ptp(file.vertices[:, 1]))
+        unit = unit_of(tall, str(file.path), height)
+        body, ours = (
+            _closed(file, stand(file.vertices * unit), file.faces, file.parts),
+            Measurements(height=tall * unit),
+        )
     else:
         for remark in _remarks(file, found):
             log.info("%s: %s", file.path, remark)
-        body, ours = _upright_body(file, found), _sure_measures(found)
+        kept = ~found.upright.scan.outside
+        vertices, faces = kept_mesh(found.upright.transform.apply(file.vertices), file.faces, kept)
+        body = _closed(file, vertices, faces, found.parts[kept])
         if size is None:
             return body, found.result.measurements
+        unsure = ARM_MEASURES if found.arm_turn and not found.by_vertex else ()  # uncertain: the arms were moved
+        ours = replace(found.result.measurements, **dict.fromkeys(unsure, np.nan))
     require_same_body(size, ours, str(measurements), file.path)
     return body, size
 
@@ -307,8 +231,7 @@ class _MeshFile(Record):
     path: Path
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
-    parts: UInt8[np.ndarray, " v"] | None
-    """Of the segmentation file."""
+    parts: UInt8[np.ndarray, " v"] | None  # of the segmentation file
 
     @classmethod
     def read(cls, path: Path, segmentation: Path | str | None) -> Self:
@@ -322,25 +245,6 @@ def _find_body(file: _MeshFile, given: Path | str | None, height: float | None) 
     return find_body(
         file.vertices, file.faces, str(file.path), given=marks, parts=file.parts, in_cm=False, height=height
     )
-
-
-def _upright_body(file: _MeshFile, found: FoundBody) -> Body:
-    kept = ~found.upright.scan.outside
-    vertices, faces = kept_mesh(found.upright.transform.apply(file.vertices), file.faces, kept)
-    return _closed(file, vertices, faces, found.parts[kept])
-
-
-def _sure_measures(found: FoundBody) -> Measurements:
-    """The measures without those that are uncertain because the arms were moved."""
-    unsure = ARM_MEASURES if found.arm_turn and not found.by_vertex else ()
-    return replace(found.result.measurements, **dict.fromkeys(unsure, np.nan))
-
-
-def _as_it_stands(file: _MeshFile, parts: UInt8[np.ndarray, " v"], height: float | None) -> tuple[Body, Measurements]:
-    """The body in a mesh in which none is found, such as a dress form, and its height. Raises ``BodyError``."""
-    tall = float(np.ptp(file.vertices[:, 1]))
-    unit = unit_of(tall, str(file.path), height)
-    return _closed(file, stand(file.vertices * unit), file.faces, parts), Measurements(height=tall * unit)
 
 
 def _closed(
@@ -372,7 +276,8 @@ def _remarks(file: _MeshFile, found: FoundBody) -> list[str]:
         remarks.append("did not stand upright facing +z and was turned")
     if others := int(scan.outside[file.faces].any(axis=1).sum()):
         remarks.append(f"left out: {others} triangles not connected to the body, such as a floor")
-    remarks += _arm_remark(found.arm_turn)
+    if found.arm_turn:
+        remarks.append(f"arms {np.degrees(found.arm_turn):.0f}° off the A-pose, moved there to be measured")
     if found.by_vertex:
         return [*remarks, "mesh of the body model: landmarks known by vertex"]
     if found.arm_turn:
@@ -414,7 +319,3 @@ def _coarse_mesh_remark(found: FoundBody) -> list[str]:
         f"{girth:.1f} cm off, wrist and leg_circ {WRIST_ERROR * scan.sagitta:.1f} cm, distances between landmarks "
         f"{scan.mean_edge:.1f} cm and {ANGLE_ERROR * scan.mean_edge:.0f}°: give a finer mesh"
     ]
-
-
-def _arm_remark(turn: float) -> list[str]:
-    return [f"arms {np.degrees(turn):.0f}° off the A-pose, moved there to be measured"] if turn else []

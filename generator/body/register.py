@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from gcd_dataset.bodyfiles import OTHER_UNITS
 from gcd_dataset.errors import BodyError, ConfigError
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.repair import Scan
+from gcd_dataset.generator.body.repair import BodyScan
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.measurements import ADULT, is_adult_height
 from gcd_dataset.records import BodyPart, Record
@@ -153,21 +153,17 @@ def _step(surface: SkinSurface, alignment: Alignment, ids: np.ndarray, stage: _S
     count = len(ids)
     damping = np.concatenate([STIFFNESS, np.full(len(alignment.weights), np.sqrt(stage.prior))])
     prior = np.concatenate([np.zeros(POSE_SIZE), -alignment.weights])
-    matrix = _gram(rows.reshape(3 * count, -1)) / count + np.diag(damping**2)
-    right = np.einsum("vip,vi->p", rows, error) / count + damping**2 * prior
+    # The Gram matrix rowsᵀ·rows, in blocks too small for BLAS threads: one thread rounds the same on any machine,
+    # and is ten times as fast as threads that wait for each other.
+    rows = rows.reshape(3 * count, -1)
+    blocks = np.concatenate([rows, np.zeros((-len(rows) % BLOCK, rows.shape[1]))]).reshape(-1, BLOCK, rows.shape[1])
+    gram = np.einsum("bpq->pq", blocks.transpose(0, 2, 1) @ blocks)
+    matrix = gram / count + np.diag(damping**2)
+    right = np.einsum("vip,vi->p", rows.reshape(count, 3, -1), error) / count + damping**2 * prior
     step = np.linalg.solve(matrix, right)
     moved = float(np.linalg.norm(jacobian @ step, axis=1).mean())
     pose, weights = alignment.pose + step[:POSE_SIZE], alignment.weights + step[POSE_SIZE:]
     return Alignment(weights, pose, float(near.distances.mean())), moved
-
-
-def _gram(rows: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p p"]:
-    """The Gram matrix rowsᵀ·rows, in blocks too small for BLAS threads.
-
-    One thread gives the same rounding on any machine, and is ten times as fast as threads that wait for each other.
-    """
-    blocks = np.concatenate([rows, np.zeros((-len(rows) % BLOCK, rows.shape[1]))]).reshape(-1, BLOCK, rows.shape[1])
-    return np.einsum("bpq->pq", blocks.transpose(0, 2, 1) @ blocks)
 
 
 def _pose_jacobian(alignment: Alignment, ids: np.ndarray, points: np.ndarray) -> Float[np.ndarray, "v 3 p"]:
@@ -275,7 +271,7 @@ class StandingTransform(Record):
 class UprightScan(Record):
     """A scan in upright orientation, with the body model coarsely aligned to it."""
 
-    scan: Scan
+    scan: BodyScan
     """In upright coordinates."""
     transform: StandingTransform
     """From the input to upright coordinates."""
@@ -315,7 +311,7 @@ def unit_of(tall: float, name: str, height: float | None = None) -> float:
     )
 
 
-def find_upright(scan: Scan, name: str) -> tuple[UprightScan, Registration]:
+def find_upright(scan: BodyScan, name: str) -> tuple[UprightScan, Registration]:
     """The scan upright and facing +z, turned if necessary, in its own unit; and the body model registered to it.
 
     Raises ``BodyError`` if it holds no body.
@@ -329,18 +325,15 @@ def find_upright(scan: Scan, name: str) -> tuple[UprightScan, Registration]:
             "average: give one whole body with bare arms and legs, standing along y and facing +z"
         )
     registration = register(found.surface, found.alignment)
-    if leans or not _is_upright(registration.alignment):
+    pitch, yaw, roll = np.abs(registration.alignment.pose[3:6])
+    upright = max(yaw, roll) < SMALL_LEAN and pitch < SMALL_LEAN + POSTURE * registration.alignment.misfit
+    if leans or not upright:
         found = _try(scan, registration.alignment.turn.T @ found.transform.turn)
         registration = register(found.surface, found.alignment)
     return found, registration
 
 
-def _is_upright(alignment: Alignment) -> bool:
-    pitch, yaw, roll = np.abs(alignment.pose[3:6])
-    return bool(max(yaw, roll) < SMALL_LEAN and pitch < SMALL_LEAN + POSTURE * alignment.misfit)
-
-
-def _nearest_quarter_turn(scan: Scan) -> UprightScan:
+def _nearest_quarter_turn(scan: BodyScan) -> UprightScan:
     """The scan as it is, unless the model fits it clearly better after one of ``QUARTER_TURNS``."""
     found, backward = _try(scan, np.eye(3)), _try(scan, BACK_TO_FRONT)
     if found.alignment.misfit > MAX_MISFIT or backward.alignment.misfit < found.alignment.misfit:
@@ -354,7 +347,7 @@ def _nearest_quarter_turn(scan: Scan) -> UprightScan:
 
 
 def _try(
-    scan: Scan, turn: Float[np.ndarray, "3 3"], align: Callable[[SkinSurface], Alignment] = coarse_alignment
+    scan: BodyScan, turn: Float[np.ndarray, "3 3"], align: Callable[[SkinSurface], Alignment] = coarse_alignment
 ) -> UprightScan:
     """The scan in one orientation, with the model aligned to it."""
     transform = StandingTransform.standing(scan.vertices, turn)

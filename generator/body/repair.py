@@ -1,7 +1,7 @@
 """Repairs meshes of bodies: welds, closes holes, orients faces, and removes folds and self-intersections.
 
-A ``Scan`` is any mesh prepared for measuring, a ``ClosedSkin`` one prepared for cloth, and ``SkinMesh`` removes folds
-from drawn bodies.
+``BodyScan`` is any mesh prepared for measuring, ``ClosedSkin`` one prepared for cloth; ``SkinMesh`` removes folds from
+drawn bodies.
 
 A body far from the mean may have inverted patches of skin: a nipple pushed in, the fold between the thighs, an armpit
 under a lowered arm. Such patches, whose normals oppose those of the mean body, are smoothed until the normals agree.
@@ -111,7 +111,7 @@ WELD = 1e-5  # grid of coinciding positions, as a fraction of the mesh's size
 
 
 @dataclass(frozen=True, eq=False)
-class Scan(Record):
+class BodyScan(Record):
     """A closed skin made from any mesh, with its patches over holes marked."""
 
     vertices: Float[np.ndarray, "v 3"]
@@ -142,9 +142,13 @@ class Scan(Record):
         if not np.isfinite(vertices[used]).all():
             bad = used[~np.isfinite(vertices[used]).all(axis=1)]
             raise BodyError(f"{name}: vertex {bad[0]} and {len(bad) - 1} more have positions that are not numbers")
-        welded, source = _welded(vertices, used)
+        same = coincident_vertices(vertices, used)
+        distinct, source = np.unique(same[used]), np.zeros(len(vertices), int)
+        welded, source[used] = vertices[distinct], np.searchsorted(distinct, same[used])
         faces = source[faces]
-        faces = faces[_has_area(welded, faces)]
+        a, b, c = welded[faces].transpose(1, 0, 2)
+        least = FLAT * np.ptp(welded, axis=0).max() ** 2
+        faces = faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > least]
         if len(faces) < MIN_FACES:
             raise BodyError(
                 f"{name}: {len(faces)} triangles with an area, a body needs at least {MIN_FACES}: give a finer mesh"
@@ -185,20 +189,6 @@ def kept_mesh(
     return vertices[kept], (np.cumsum(kept) - 1)[faces[kept[faces].all(axis=1)]]
 
 
-def _welded(vertices: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Used vertices without duplicates, and for each input vertex its row in them; 0 for unused vertices."""
-    same = coincident_vertices(vertices, used)
-    distinct = np.unique(same[used])
-    source = np.zeros(len(vertices), int)
-    source[used] = np.searchsorted(distinct, same[used])
-    return vertices[distinct], source
-
-
-def _has_area(vertices: np.ndarray, faces: np.ndarray) -> Bool[np.ndarray, " f"]:
-    a, b, c = vertices[faces].transpose(1, 0, 2)
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) > FLAT * np.ptp(vertices, axis=0).max() ** 2
-
-
 def _largest_piece(
     vertices: np.ndarray, faces: np.ndarray, source: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -207,9 +197,7 @@ def _largest_piece(
     Returns vertices, faces, ``source`` with dropped vertices mapped to their nearest remaining one, and for each input
     vertex whether it was dropped, and whether its piece reaches beyond the bounding box of the rest.
     """
-    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
-    graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(len(vertices), len(vertices)))
-    piece = connected_components(graph, directed=False)[1]
+    piece = pieces_of(faces, len(vertices))
     a, b, c = vertices[faces].transpose(1, 0, 2)
     areas = np.bincount(piece[faces[:, 0]], np.linalg.norm(np.cross(b - a, c - a), axis=1), minlength=piece.max() + 1)
     for large in np.flatnonzero(areas > OBJECT_SHARE * areas.sum()):
@@ -279,11 +267,19 @@ class ClosedSkin(Record):
         name: str,
     ) -> Self:
         """Close a mesh [cm]. Raises ``BodyError`` for a hole wider than ``WIDEST_HOLE`` or a skin without an inside."""
-        internal = _internal_pieces(faces, parts)
+        piece, internal = pieces_of(faces, len(parts)), np.ones(len(parts), bool)
+        np.logical_and.at(internal, piece[faces], (parts == BodyPart.INTERNAL.value)[faces])
+        internal = internal[piece[faces[:, 0]]]  # faces of pieces with internal vertices only, such as a loose eye
         skin = _welded_rims(vertices, faces[~internal])
         consistent = _consistently_wound(skin, name)
         holes = Holes.of(vertices, consistent)
-        _require_narrow(holes, name)
+        if holes.widths.max(initial=0.0) > WIDEST_HOLE:
+            widest = int(holes.widths.argmax())
+            x, y, z = holes.centres[widest]
+            raise BodyError(
+                f"{name}: the skin is not closed: it has a hole {holes.widths[widest]:.1f} cm across about ({x:.0f}, "
+                f"{y:.0f}, {z:.0f}) cm, and only holes up to {WIDEST_HOLE:.0f} cm are closed: fill it in the mesh"
+            )
         rim_parts = [parts[np.unique(holes.rims[holes.hole_of_rim == hole])] for hole in range(len(holes.centres))]
         whole = np.concatenate([vertices, holes.centres])
         outward = _outward(whole, np.concatenate([consistent, holes.patches(len(vertices))]))
@@ -296,15 +292,7 @@ class ClosedSkin(Record):
         )
 
 
-def _internal_pieces(faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]) -> Bool[np.ndarray, " f"]:
-    """Whether each face is of a connected piece with internal vertices only, such as a loose eye."""
-    piece = _pieces(faces, len(parts))
-    internal = np.ones(len(parts), bool)
-    np.logical_and.at(internal, piece[faces], (parts == BodyPart.INTERNAL.value)[faces])
-    return internal[piece[faces[:, 0]]]
-
-
-def _pieces(faces: Int[np.ndarray, "f 3"], size: int) -> Int[np.ndarray, " v"]:
+def pieces_of(faces: Int[np.ndarray, "f 3"], size: int) -> Int[np.ndarray, " v"]:
     """Number of the connected piece of each vertex."""
     ends = np.concatenate([faces[:, :2], faces[:, 1:]])
     graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(size, size))
@@ -352,16 +340,6 @@ def _consistently_wound(faces: Int[np.ndarray, "f 3"], name: str) -> Int[np.ndar
     flip = unflipped > flipped
     mostly = np.bincount(groups, flip, minlength=2 * count) > np.bincount(groups, ~flip, minlength=2 * count)
     return np.where((flip ^ mostly[groups])[:, None], faces[:, ::-1], faces)
-
-
-def _require_narrow(holes: Holes, name: str) -> None:
-    if holes.widths.max(initial=0.0) > WIDEST_HOLE:
-        widest = int(holes.widths.argmax())
-        x, y, z = holes.centres[widest]
-        raise BodyError(
-            f"{name}: the skin is not closed: it has a hole {holes.widths[widest]:.1f} cm across about "
-            f"({x:.0f}, {y:.0f}, {z:.0f}) cm, and only holes up to {WIDEST_HOLE:.0f} cm are closed: fill it in the mesh"
-        )
 
 
 def _outward(vertices: np.ndarray, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
@@ -414,11 +392,9 @@ class SkinMesh(Record):
         normals = _normals(reference, faces)
         return cls(faces, normals / np.linalg.norm(normals, axis=0), _adjacent_faces(face_edges), means)
 
-    def flattened(
-        self, vertices: Float[np.ndarray, "v 3"], *, resolve_creases: bool = True
-    ) -> Float[np.ndarray, "v 3"]:
-        """The vertices with folded patches smoothed, and with ``resolve_creases`` self-intersecting creases too."""
-        return self.smoothed(vertices, ROUNDS, resolve_creases=resolve_creases).vertices
+    def flattened(self, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
+        """The vertices with folded patches and self-intersecting creases smoothed."""
+        return self.smoothed(vertices, ROUNDS, resolve_creases=True).vertices
 
     def smoothed(
         self,

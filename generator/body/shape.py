@@ -7,7 +7,6 @@ Adults of each sex are a Gaussian over the weights, calibrated to a survey: ``ad
 import functools
 import io
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -83,13 +82,12 @@ ARMPIT = 3.0  # cm below the underarm point, where arm and trunk separate; Garme
 def arm_clearance(body: Body) -> float:
     """Least distance between the convex hulls of arm and trunk in the level section below the armpits [cm]."""
     level = body.vertices[landmark_table().points["underarm_right"], Y] - ARMPIT
-    trunk, *arms = (_hull(body, part, level) for part in (BodyPart.TRUNK, BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM))
+    sections = (
+        section_points(body.vertices, _edges_of(part), Y, np.array([level]))[0]
+        for part in (BodyPart.TRUNK, BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM)
+    )
+    trunk, *arms = (shapely.convex_hull(shapely.multipoints(points[:, [X, Z]])) for points in sections)
     return float(min(shapely.distance(trunk, arm) for arm in arms))
-
-
-def _hull(body: Body, part: BodyPart, level: float) -> shapely.Geometry:
-    points = section_points(body.vertices, _edges_of(part), Y, np.array([level]))[0]
-    return shapely.convex_hull(shapely.multipoints(points[:, [X, Z]]))
 
 
 @functools.cache
@@ -164,14 +162,6 @@ def named_shape(name: str, *, legs_apart: bool = False) -> BodyShape:
     return BodyShape(named[name], legs_apart=legs_apart)
 
 
-class DrawnShape(NamedTuple):
-    """A random body and its kind."""
-
-    kind: str
-    """``female``, ``male``, or ``pooled``."""
-    shape: BodyShape
-
-
 def draw_shape(rng: np.random.Generator, *, group: str = "random", legs_apart: bool = False) -> BodyShape:
     """A random body with a random arm angle near the A-pose, the arms clear of the trunk.
 
@@ -179,11 +169,11 @@ def draw_shape(rng: np.random.Generator, *, group: str = "random", legs_apart: b
     survey (see ``population``); ``pooled`` a body about the neutral one, mostly between the sexes, as in
     GarmentCodeData. Raises ``BodyError`` for another group.
     """
-    return draw_from(group, rng, legs_apart=legs_apart).shape
+    return draw_from(group, rng, legs_apart=legs_apart)[1]
 
 
-def draw_from(group: str, rng: np.random.Generator, *, legs_apart: bool = False) -> DrawnShape:
-    """A random body of a group, as ``draw_shape``, with its kind.
+def draw_from(group: str, rng: np.random.Generator, *, legs_apart: bool = False) -> tuple[str, BodyShape]:
+    """The kind of a random body, ``female``, ``male`` or ``pooled``, and the body: see ``draw_shape``.
 
     The woman that ``random`` draws is the one that ``female`` draws from the same stream, and so is the man.
     """
@@ -196,15 +186,12 @@ def draw_from(group: str, rng: np.random.Generator, *, legs_apart: bool = False)
     if group == "random":  # after all else is drawn, so that both sexes share the stream
         kind = "female" if rng.random() < FEMALE_SHARE else "male"
     weights = SPREAD * deviates if kind == POOLED else weights_of(adults_of(kind), deviates)
-    return DrawnShape(kind, _with_clear_arms(BodyShape(weights, arm_angle, legs_apart)))
-
-
-def _with_clear_arms(shape: BodyShape) -> BodyShape:
-    """The shape with its arms raised until there is room below the armpits, at most to ``MAX_ARM_ANGLE``."""
-    # Creases stay: a self-intersecting armpit is a reason to raise the arm, not to smooth the skin.
+    shape = BodyShape(weights, arm_angle, legs_apart)
+    # Arms are raised until there is room below the armpits. Creases stay: a self-intersecting armpit is a reason to
+    # raise the arm, not to smooth the skin.
     while shape.arm_angle < MAX_ARM_ANGLE and arm_clearance(_built(shape, "body", resolve_creases=False)) < ARM_ROOM:
         shape = replace(shape, arm_angle=min(shape.arm_angle + ARM_STEP, MAX_ARM_ANGLE))
-    return shape
+    return kind, shape
 
 
 def build_body(shape: BodyShape, *, name: str = "body") -> Body:
@@ -238,7 +225,9 @@ def _unposed(weights: bytes) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray
     model, values = body_model(), np.frombuffer(weights)
     # einsum: the rounding of a BLAS product depends on its threads, and samples must be the same on any machine.
     vertices = model.mean + np.einsum("k,kvi->vi", values, model.components)
-    vertices[:, 0] = _off_midplane(vertices[:, 0], model.mean[:, 0])
+    # ``CLEFT / 2`` off the plane x = 0, on their usual side: thighs and breasts do not cross there.
+    usual, side = model.mean[:, 0], np.sign(model.mean[:, 0])
+    vertices[:, 0] = side * np.maximum(side * vertices[:, 0], np.minimum(np.abs(usual), CLEFT / 2))
     joints = model.joints + np.einsum("k,kni->ni", values, model.joint_components)
     vertices.flags.writeable = joints.flags.writeable = False
     return vertices, joints
@@ -250,9 +239,3 @@ def _skin() -> SkinMesh:
     model = body_model()
     excluded = np.isin(model.parts, [part.value for part in COARSE_PARTS])
     return SkinMesh.of(model.mean, model.faces[~excluded[model.faces].any(axis=1)])
-
-
-def _off_midplane(x: Float[np.ndarray, " v"], usual: Float[np.ndarray, " v"]) -> Float[np.ndarray, " v"]:
-    """``x`` kept ``CLEFT / 2`` off the plane x = 0, on its usual side: thighs and breasts do not cross there."""
-    side = np.sign(usual)
-    return side * np.maximum(side * x, np.minimum(np.abs(usual), CLEFT / 2))

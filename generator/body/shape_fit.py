@@ -69,9 +69,6 @@ def fit_shape(measures: Measurements) -> FittedShape:
     return FittedShape(_shape(found), Measurements(**dict(zip(MEASURES, residual.tolist(), strict=True))))
 
 
-# -------------------------------------------------------------------------------------------------------------- checks
-
-
 def _require_plausible(wanted: Float[np.ndarray, " m"]) -> None:
     if np.isnan(wanted).all():
         raise BodyError("no measure is given: give at least one, such as the height")
@@ -113,7 +110,8 @@ def _require_within_reach(found: Float[np.ndarray, " u"], reach: float) -> None:
 def _step(found: Float[np.ndarray, " u"], wanted: Float[np.ndarray, " m"], width: float) -> Float[np.ndarray, " u"]:
     """One Gauss-Newton step with a line search; ``found`` itself if no point on the step is better."""
     given = np.isfinite(wanted)
-    jacobian = (_jacobian(found, width) / _SCALE[:, None])[given]
+    ahead, behind = ([_measured(found + way * row) for row in width * np.eye(len(found))] for way in (1.0, -1.0))
+    jacobian = ((np.array(ahead) - np.array(behind)).T / (2 * width) / _SCALE[:, None])[given]  # central differences
     error = ((_measured(found) - wanted) / _SCALE)[given]
     step = -np.linalg.solve(jacobian.T @ jacobian + np.eye(len(found)), jacobian.T @ error + found)
     step *= min(1.0, MAX_STEP / max(np.abs(step).max(), 1e-12))
@@ -124,12 +122,6 @@ def _step(found: Float[np.ndarray, " u"], wanted: Float[np.ndarray, " m"], width
 def _cost(unknowns: Float[np.ndarray, " u"], wanted: Float[np.ndarray, " m"]) -> float:
     error = (_measured(unknowns) - wanted) / _SCALE
     return float(np.nansum(error**2) + (unknowns**2).sum())
-
-
-def _jacobian(unknowns: Float[np.ndarray, " u"], width: float) -> Float[np.ndarray, "m u"]:
-    """Derivatives of the measures by the unknowns, by central differences of half width ``width``."""
-    steps = width * np.eye(len(unknowns))
-    return np.array([_measured(unknowns + step) - _measured(unknowns - step) for step in steps]).T / (2 * width)
 
 
 def _measured(unknowns: Float[np.ndarray, " u"]) -> Float[np.ndarray, " m"]:

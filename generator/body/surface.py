@@ -33,6 +33,11 @@ def kept_per_body(compute: Callable[[Body], Derived]) -> Callable[[Body], Derive
     return found
 
 
+def near(vertices: Float[np.ndarray, "v 3"], points: Float[np.ndarray, "n 3"], radius: float) -> Bool[np.ndarray, " v"]:
+    """Whether each vertex is within a radius of one of the points [cm]."""
+    return cKDTree(points).query(vertices, distance_upper_bound=radius)[0] < radius
+
+
 LONGEST_EDGE = 6.0  # cm; longer edges are halved, so that the centroid of a near triangle is near
 MAX_TRIANGLES = 300_000  # after subdivision; slivers a metre long would give millions
 CANDIDATES = 8  # triangles with the nearest centroids, whose distances are computed exactly
@@ -129,10 +134,13 @@ def refine(
     marks = np.bincount(face_edges[marked].ravel(), minlength=len(edges))
     added = np.full(len(edges), -1)
     added[marks > 0] = n_vertices + np.arange((marks > 0).sum())
+    split, inside = marks > 0, marks[face_edges] == 2
     entries = [
         _vertex_rule(faces, marked, edges, n_vertices),
-        _edge_ends_rule(edges, marks, added),
-        _edge_opposites_rule(faces, face_edges, marks, added),
+        # New vertices, from their edge's ends: 3/8 each inside the marked part, 1/2 each on its boundary; and 1/8 from
+        # each corner opposite an edge inside.
+        (np.repeat(added[split], 2), edges[split].ravel(), np.repeat(np.where(marks[split] == 2, 3 / 8, 1 / 2), 2)),
+        (added[face_edges[inside]], np.roll(faces, 1, axis=1)[inside], np.full(inside.sum(), 1 / 8)),
     ]
     rows, columns, weights = (np.concatenate(part) for part in zip(*entries, strict=True))
     shape = (n_vertices + (marks > 0).sum(), n_vertices)
@@ -157,19 +165,6 @@ def _vertex_rule(faces: np.ndarray, marked: np.ndarray, edges: np.ndarray, n_ver
         np.concatenate([diagonal, ends[:, 1]]),
         np.concatenate([1 - valence * pull, pull[ends[:, 0]]]),
     )
-
-
-def _edge_ends_rule(edges: np.ndarray, marks: np.ndarray, added: np.ndarray) -> _Entries:
-    """New vertices, weights of their edge's ends: 3/8 each inside the marked part, 1/2 each on its boundary."""
-    split = marks > 0
-    share = np.where(marks[split] == 2, 3 / 8, 1 / 2)
-    return np.repeat(added[split], 2), edges[split].ravel(), np.repeat(share, 2)
-
-
-def _edge_opposites_rule(faces: np.ndarray, face_edges: np.ndarray, marks: np.ndarray, added: np.ndarray) -> _Entries:
-    """New vertices inside the marked part: weight 1/8 for each corner opposite their edge."""
-    inside = marks[face_edges] == 2
-    return added[face_edges[inside]], np.roll(faces, 1, axis=1)[inside], np.full(inside.sum(), 1 / 8)
 
 
 def _split(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:

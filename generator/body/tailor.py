@@ -12,15 +12,14 @@ from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body import measures as m
 from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.geodesic import GeodesicGraph
 from gcd_dataset.generator.body.landmarks import Landmarks, model_landmarks
-from gcd_dataset.generator.body.section import clipped, girth, rough_girths, section, section_points
-from gcd_dataset.measurements import MEASURE
+from gcd_dataset.generator.body.section import clipped, girth, rough_girths, section, section_points, tape
+from gcd_dataset.generator.body.surface import near
+from gcd_dataset.measurements import MEASURE, SIDEWAYS
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BodyPart, Measurements, Record
 
@@ -32,7 +31,8 @@ LANDMARKS_AT_LEVEL = {
 }
 """Girth to the landmarks that are moved to its section."""
 X, Y, Z = 0, 1, 2
-XZ = slice(0, 3, 2)
+XZ, ZY = slice(0, 3, 2), slice(2, 0, -1)
+BACK = (0.0, -1.0)  # the backward direction as (x, z), in a level section
 # The lengths below are for a body of USUAL_HEIGHT; they scale with the height.
 USUAL_HEIGHT = 172.0  # cm
 SEARCH = np.arange(-4, 5) * 0.5  # cm: levels searched about the ring's mean height, as in GarmentCodeData
@@ -64,15 +64,17 @@ def take_measures(vertices: Float[np.ndarray, "v 3"], sites: "Sites") -> Measure
 
 def measure_at(vertices: Float[np.ndarray, "v 3"], marks: Landmarks, sites: "Sites") -> MeasureResult:
     """The measures of any body, from its landmarks and the sites on its mesh. Raises ``BodyError``."""
-    upright = vertices[_ends(vertices[:, Y])]
+    heights = vertices[:, Y].copy()  # contiguous: argmin and argmax take a third of the time
+    upright = vertices[[heights.argmin(), heights.argmax()]]
     scale = relative_height(upright)
     corners, local = sites.compact
     skin = vertices.take(corners, axis=0)
+    offsets = SEARCH * scale
     found = {
-        "bust": _extremal_section(skin, local, marks, "bust", np.argmax, scale),
-        "underbust": _section_at_level(skin, local, marks, "underbust"),
-        "waist": _extremal_section(skin, local, marks, "waist", np.argmin, scale),
-        "hips": _extremal_section(skin, local, marks, "hips", np.argmax, scale),
+        "bust": _section_near(skin, local, marks, "bust", offsets, np.argmax),
+        "underbust": _section_near(skin, local, marks, "underbust", np.zeros(1), np.argmax),
+        "waist": _section_near(skin, local, marks, "waist", offsets, np.argmin),
+        "hips": _section_near(skin, local, marks, "hips", offsets, np.argmax),
     }
     points = dict(marks.points)
     for name, names in LANDMARKS_AT_LEVEL.items():
@@ -92,8 +94,7 @@ def measure_at(vertices: Float[np.ndarray, "v 3"], marks: Landmarks, sites: "Sit
 class _Tape:
     """Implements ``measurements.Tape`` for one body."""
 
-    upright: Float[np.ndarray, "2 3"]
-    """The lowest and the highest vertex."""
+    upright: Float[np.ndarray, "2 3"]  # the lowest and the highest vertex
     points: Mapping[str, Float[np.ndarray, "3"]]
     rings: Mapping[str, Float[np.ndarray, "n 3"]]
     sections: Mapping[str, Float[np.ndarray, "n 3"]]
@@ -103,57 +104,76 @@ class _Tape:
     arm: float
 
     def height(self) -> float:
-        return float(m.height(self.upright))
+        return float(np.ptp(self.upright[:, Y]))
 
     def to_crown(self, point: str) -> float:
-        return float(m.to_crown(self.upright, self.points[point]))
+        return float(self.upright[:, Y].max() - self.points[point][Y])
 
     def apart(self, point: str, other: str) -> float:
-        return float(m.apart(self.points[point], self.points[other]))
+        return float(np.linalg.norm(self.points[point] - self.points[other], axis=-1))
 
     def above(self, point: str, other: str) -> float:
-        return float(m.above(self.points[point], self.points[other]))
+        return float(np.abs(self.points[point][Y] - self.points[other][Y]))
 
     def sinking(self, start: str, end: str) -> float:
-        return float(m.sinking(self.points[start], self.points[end]))
+        return sinking(self.points[start], self.points[end])
 
     def leaning(self, upper: str, lower: str) -> float:
-        return float(m.leaning(self.points[upper], self.points[lower]))
+        return -sinking(self.points[lower], self.points[upper], axis=X)
 
     def along(self, ring: str) -> float:
-        return float(m.along(self.rings[ring]))
+        return float(np.linalg.norm(np.diff(self.rings[ring], axis=0), axis=-1).sum())
 
     def around(self, ring: str) -> float:
-        return float(m.around(self.rings[ring]))
+        closed = np.concatenate([self.rings[ring], self.rings[ring][:1]])
+        return float(np.linalg.norm(np.diff(closed, axis=0), axis=-1).sum())
 
     def down_arm(self) -> float:
         return self.arm
 
     def girth(self, section: str) -> float:
-        return m.round_section(self.sections[section])
+        return girth(self.sections[section][:, XZ])
 
     def thigh(self) -> float:
         return self.larger_thigh
 
     def over_back(self, section: str, left: str, right: str) -> float:
-        return m.over_back(self.sections[section], self.points[left], self.points[right])
+        return over_back(self.sections[section], self.points[left], self.points[right])
 
     def down_spine(self, upper: str, lower: str) -> float:
-        return m.down_spine(self.spine, self.points[upper], self.points[lower])
+        high, low = self.points[upper], self.points[lower]
+        between = (self.spine[:, Y] < high[Y]) & (self.spine[:, Y] > low[Y])
+        return tape(np.concatenate([self.spine[between], [high, low]])[:, ZY], (-1.0, 0.0))
 
     def over_breast(self, level: str, facing: tuple[float, float], over: float) -> float:
-        return m.over_breast(self.breast, float(self.points[level][Y]), facing, over)
+        origin = np.array([0.0, float(self.points[level][Y]), 0.0])
+        return tape(clipped(self.breast, (0.0, 1.0, 0.0), origin).reshape(-1, 3)[:, ZY], facing, over=over)
+
+
+def sinking(start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"], *, axis: int = Y) -> float:
+    """Slope of the line from ``start`` to ``end`` to the plane normal to an axis, by default the horizontal [rad]."""
+    return float(np.arcsin((start - end)[axis] / np.linalg.norm(start - end, axis=-1)))
+
+
+def larger_thigh(section: Float[np.ndarray, "s 2 3"], middle: float) -> float:
+    """Length of a tape round the larger thigh, in a level section with the legs on both sides of x = ``middle`` [cm].
+
+    GarmentCode measures the contour, which is 0.005 cm longer on smooth thighs, and 2 cm on the rough skin of a scan.
+    """
+    right = section[:, :, X].mean(axis=1) < middle
+    return max(girth(section[side, 0][:, XZ]) for side in (right, ~right))
+
+
+def over_back(section: Float[np.ndarray, "n 3"], left: Float[np.ndarray, "3"], right: Float[np.ndarray, "3"]) -> float:
+    """Length of a tape over the back of a level section, from ``left`` to ``right`` [cm]."""
+    x, z = (left - right)[XZ]
+    behind = (section - left)[:, XZ] @ [z, -x] >= 0
+    return tape(np.concatenate([section[behind], [left, right]])[:, XZ], BACK, over=SIDEWAYS)
 
 
 def relative_height(vertices: Float[np.ndarray, "v 3"]) -> float:
     """Height over ``USUAL_HEIGHT``: the factor on lengths in the search for measures."""
-    return float(m.height(vertices)) / USUAL_HEIGHT
-
-
-def _ends(heights: Float[np.ndarray, " v"]) -> list[np.intp]:
-    """Numbers of the lowest and the highest vertex."""
-    heights = heights.copy()  # contiguous: argmin and argmax take a third of the time
-    return [heights.argmin(), heights.argmax()]
+    return float(np.ptp(vertices[:, Y])) / USUAL_HEIGHT
 
 
 def _at_border(levels: Mapping[str, float], marks: Landmarks, scale: float) -> dict[str, float]:
@@ -248,46 +268,34 @@ def sites_of(
 def arm_graph(mean: np.ndarray, faces: np.ndarray, shoulder: int, wrist: int) -> GeodesicGraph:
     """The graph over the skin near the geodesic from shoulder to wrist on the mean body."""
     straight = np.linspace(mean[shoulder], mean[wrist], 100)
-    rough = GeodesicGraph.over(faces[_near(mean, straight, 9.0)[faces].all(axis=1)], shoulder, wrist, points_per_edge=1)
-    near = _near(mean, rough.path(mean), 1.6)[faces].all(axis=1)
+    rough = GeodesicGraph.over(faces[near(mean, straight, 9.0)[faces].all(axis=1)], shoulder, wrist, points_per_edge=1)
+    beside = near(mean, rough.path(mean), 1.6)[faces].all(axis=1)
     # Three points on an edge make the path 0.1 cm too long; five would halve the error and double the time.
     return (
-        GeodesicGraph.over(faces[near], shoulder, wrist, points_per_edge=3)
+        GeodesicGraph.over(faces[beside], shoulder, wrist, points_per_edge=3)
         .without_detours(mean, least=0.8)
         .near_shortest(mean, most=0.15)
     )
 
 
-def _near(vertices: np.ndarray, path: np.ndarray, radius: float) -> np.ndarray:
-    return cKDTree(path).query(vertices, distance_upper_bound=radius)[0] < radius
-
-
 # ------------------------------------------------------------------------------------------------------ level sections
 
 
-def _extremal_section(
+def _section_near(
     vertices: np.ndarray,
     sites: Sites,
     marks: Landmarks,
     name: str,
+    offsets: Float[np.ndarray, " l"],
     best: Callable[[np.ndarray], np.intp],
-    scale: float,
 ) -> Float[np.ndarray, "n 3"]:
-    """The points of the section with the largest or smallest girth (``best``: argmax, argmin) near a level."""
-    levels = marks.levels[name] + SEARCH * scale
+    """The points of the section with the largest or smallest girth (``best``: argmax, argmin) near a level [cm]."""
+    levels = marks.levels[name] + offsets
     points, level = section_points(vertices, sites.rings[name], Y, levels)
     rough = rough_girths(points[:, XZ], level)
     if len(rough) < len(levels):
         raise BodyError(f"no skin at the level of the {name}, {marks.levels[name]:.1f} cm: correct the mesh there")
     return points[level == levels[best(rough)]]
-
-
-def _section_at_level(vertices: np.ndarray, sites: Sites, marks: Landmarks, name: str) -> Float[np.ndarray, "n 3"]:
-    level = marks.levels[name]
-    points = section_points(vertices, sites.rings[name], Y, np.array([level]))[0]
-    if not len(points):
-        raise BodyError(f"no skin at the level of the {name}, {level:.1f} cm: correct the mesh there")
-    return points
 
 
 def _nearest_on(segments: Float[np.ndarray, "s 2 3"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -314,7 +322,7 @@ def _leg_girth(vertices: np.ndarray, sites: Sites, marks: Landmarks, scale: floa
     right = cut[:, :, X].mean(axis=1) < middle
     if not right.any() or right.all():
         raise BodyError(f"no two legs at the level {level:.1f} cm: correct the mesh there")
-    return level, m.larger_thigh(cut, middle) if len(separate) else girth(cut[right, 0][:, XZ])
+    return level, larger_thigh(cut, middle) if len(separate) else girth(cut[right, 0][:, XZ])
 
 
 def _between_legs(

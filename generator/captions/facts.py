@@ -1,4 +1,4 @@
-"""The facts of an outfit in words, from its design, its wearer and its drawn pattern.
+"""The facts of a garment in words, from its design, its wearer and its drawn pattern.
 
 A depth is the distance of a hem below the hips, as a fraction of hips to floor, as ``hem_depth``. Words divide
 the classes of the tags (``HEMS``) further at the wearer's knee: a "mini", "midi" or "maxi" skirt has that tag.
@@ -7,6 +7,7 @@ the classes of the tags (``HEMS``) further at the wearer's knee: a "mini", "midi
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.description import (
     ASYMMETRIC,
     HEMS,
@@ -14,13 +15,12 @@ from gcd_dataset.generator.garments.description import (
     RUFFLES,
     Description,
     Detail,
-    Place,
     Words,
+    Zone,
 )
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.drawn import described, gather, hem_below_waist, hem_depth, part_of, sides_match
-from gcd_dataset.generator.garments.outfit import bottom_rise
-from gcd_dataset.generator.garments.shirt_words import ONE_SHOULDER
+from gcd_dataset.generator.garments.upper import ONE_SHOULDER
 from gcd_dataset.generator.garments.waistband import Waistband, band_rise
 from gcd_dataset.records import Measurements, Pattern
 
@@ -91,7 +91,7 @@ PLAIN_LEGS: Words = ("plain leg ends", "plain hems")
 
 @dataclass(frozen=True, slots=True)
 class GarmentFacts:
-    """An outfit in words."""
+    """A garment in words."""
 
     length: Words
     """Adjectives for its length; empty if no word fits."""
@@ -101,11 +101,11 @@ class GarmentFacts:
     cut: tuple[Words, ...]
     """Adjectives of the cut, after the length: fitted, flared; of a dress or jumpsuit they are in ``parts``."""
     parts: tuple[Words, ...]
-    """Nouns for bodice and bottom of a dress or jumpsuit, or for the bottom alone; empty for other outfits."""
+    """Nouns for bodice and bottom of a dress or jumpsuit, or for the bottom alone; empty for other garments."""
     lower: str
     """The name of the bottom in a sentence: skirt, trousers or shorts; empty without one."""
     details: tuple[Detail, ...]
-    """In the order of ``Place``."""
+    """In the order of ``Zone``."""
     is_symmetrical: bool
     """Whether left and right halves are drawn as mirror images."""
 
@@ -116,13 +116,13 @@ class GarmentFacts:
 
 
 def garment_facts(size: Measurements, design: GarmentDesign, pattern: Pattern) -> GarmentFacts:
-    """The facts of a design as drawn for a wearer in ``pattern``. Raises ``PatternError`` as ``outfit`` does."""
+    """The facts of a design as drawn for a wearer in ``pattern``. Raises ``PatternError`` as ``draw_garment`` does."""
     upper, bottom = described(size, design, pattern)
     facts = _kind(size, design, upper, bottom)
     found = [*facts.details, *_darts(pattern), *_waist(size, design, pattern)]
-    if not any(detail.place is Place.HEM for detail in found):
-        found.append(Detail(Place.HEM, PLAIN_LEGS if facts.lower in ("trousers", "shorts") else PLAIN_HEM))
-    order = list(Place)
+    if not any(detail.place is Zone.HEM for detail in found):
+        found.append(Detail(Zone.HEM, PLAIN_LEGS if facts.lower in ("trousers", "shorts") else PLAIN_HEM))
+    order = list(Zone)
     details = sorted(found, key=lambda detail: order.index(detail.place))
     symmetrical = sides_match(details, pattern)
     traits = facts.traits if symmetrical or len(design.halves()) < 2 else (*facts.traits, ASYMMETRIC)
@@ -162,9 +162,6 @@ def _prefixed(traits: Iterable[Words], nouns: Words) -> Words:
     return tuple(f"{before} {noun}".strip() for noun in nouns)
 
 
-# ------------------------------------------------------------------------------------------------------- drawn pattern
-
-
 def _darts(pattern: Pattern) -> tuple[Detail, ...]:
     """The darts: seams between two edges of one panel."""
     legs = [seam.left for seam in pattern.seams if seam.left.panel == seam.right.panel]
@@ -174,11 +171,11 @@ def _darts(pattern: Pattern) -> tuple[Detail, ...]:
     found = []
     if bust or below:
         words: Words = ("bust and waist darts", "darts at bust and waist") if bust and below else ("bust darts",)
-        found.append(Detail(Place.BODY, words if bust else ("waist darts",)))
+        found.append(Detail(Zone.BODY, words if bust else ("waist darts",)))
     if waist:
         in_front = any(panel.placement.translation[2] > 0 for panel in waist)
         words = ("waist darts", "darts at the waist") if in_front else ("darts at the back waist",)
-        found.append(Detail(Place.LOWER, words))
+        found.append(Detail(Zone.LOWER, words))
     return tuple(found)
 
 
@@ -188,7 +185,7 @@ def _waist(size: Measurements, design: GarmentDesign, pattern: Pattern) -> tuple
     if meta.wb:
         found.append(_band(size, design, meta.wb))
         if meta.upper and gather(pattern, "band", "torso") >= RUFFLES:
-            found.append(Detail(Place.WAIST, ("a bodice gathered into the band",)))
+            found.append(Detail(Zone.WAIST, ("a bodice gathered into the band",)))
     if meta.bottom and meta.upper is None:
         top = (
             band_rise(design.waistband, bottom_rise(design)) + design.waistband.width
@@ -201,17 +198,17 @@ def _waist(size: Measurements, design: GarmentDesign, pattern: Pattern) -> tuple
             words = ("a waistline just below the natural waist",)
         else:
             words = ("a low-slung waist", "a top edge low on the hips")
-        found.append(Detail(Place.WAIST, words))
+        found.append(Detail(Zone.WAIST, words))
         if not meta.wb:
-            found.append(Detail(Place.WAIST, ("no waistband",)))
+            found.append(Detail(Zone.WAIST, ("no waistband",)))
     elif meta.bottom and meta.upper:
         seam = meta.upper.garment.length(size, design) / size.waist_line
         if seam < SEAM_RAISED:
-            found.append(Detail(Place.WAIST, ("a raised waistline",), main=True))
+            found.append(Detail(Zone.WAIST, ("a raised waistline",), main=True))
         elif seam > SEAM_DROPPED:
-            found.append(Detail(Place.WAIST, ("a dropped waistline",), main=True))
+            found.append(Detail(Zone.WAIST, ("a dropped waistline",), main=True))
         else:
-            found.append(Detail(Place.WAIST, ("a seam at the natural waist",)))
+            found.append(Detail(Zone.WAIST, ("a seam at the natural waist",)))
     return tuple(found)
 
 
@@ -220,5 +217,5 @@ def _band(size: Measurements, design: GarmentDesign, kind: Waistband) -> Detail:
     high = "narrow " if height <= NARROW else "wide " if height >= WIDE else ""
     cut = "loose" if design.waistband.waist >= LOOSE else "fitted" if kind is Waistband.FITTED else "straight"
     if meta.bottom is None:
-        return Detail(Place.HEM, (f"a {high}{cut} band at the hem",), main=True)
-    return Detail(Place.WAIST, (f"a {high}{cut} waistband",), main=True)
+        return Detail(Zone.HEM, (f"a {high}{cut} band at the hem",), main=True)
+    return Detail(Zone.WAIST, (f"a {high}{cut} waistband",), main=True)

@@ -1,4 +1,4 @@
-"""Sentences from the facts of an outfit, at three lengths. Random choices decide wordings and forms, never facts."""
+"""Sentences from the facts of a garment, at three lengths. Random choices decide wordings and forms, never facts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,12 +8,12 @@ import numpy as np
 
 from gcd_dataset.captions import LEVELS
 from gcd_dataset.generator.captions.facts import GarmentFacts
-from gcd_dataset.generator.garments.description import Place, Words, joined, with_article
+from gcd_dataset.generator.garments.description import Words, Zone, joined, with_article
 
 MOST_SHORT_WORDS = 12
 USUAL_SHORT_WORDS = 10
 MOST_LISTED = 4  # details in one sentence
-UPPER = (Place.NECK, Place.SLEEVES, Place.BODY)
+UPPER = (Zone.NECK, Zone.SLEEVES, Zone.BODY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,16 +29,15 @@ class _Phrase:
     """The chosen wording of a detail."""
 
     text: str
-    place: Place
+    place: Zone
     main: bool
 
 
 @dataclass(frozen=True, slots=True)
 class _Garment:
-    """The facts of an outfit, each in its chosen wording."""
+    """The facts of a garment, each in its chosen wording."""
 
-    adjectives: tuple[str, ...]
-    """In their order before the noun."""
+    adjectives: tuple[str, ...]  # in their order before the noun
     noun: str
     parts: tuple[str, ...]
     lower: str
@@ -47,11 +46,11 @@ class _Garment:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """The facts of the outfit's name."""
+        """The facts of the garment's name."""
         return (*self.adjectives, self.noun)
 
     def head(self) -> str:
-        """The outfit's name with its article."""
+        """The garment's name with its article."""
         return _noun_phrase(" ".join(self.named))
 
     @property
@@ -61,8 +60,8 @@ class _Garment:
 
 def say(facts: GarmentFacts, rng: np.random.Generator) -> Mapping[str, Said]:
     """The caption of each of ``LEVELS``; each states the facts of the one before, in the same words, and more."""
-    outfit = _chosen(facts, rng)
-    return dict(zip(LEVELS, (_short(outfit), _medium(outfit), _full(facts, outfit, rng)), strict=True))
+    garment = _chosen(facts, rng)
+    return dict(zip(LEVELS, (_short(garment), _medium(garment), _full(facts, garment, rng)), strict=True))
 
 
 def _chosen(facts: GarmentFacts, rng: np.random.Generator) -> _Garment:
@@ -82,83 +81,86 @@ def _chosen(facts: GarmentFacts, rng: np.random.Generator) -> _Garment:
     )
 
 
-# --------------------------------------------------------------------------------------------------------------- levels
-
-
-def _short(outfit: _Garment) -> Said:
+def _short(garment: _Garment) -> Said:
     """The name with its parts, or with its first main detail that is short enough."""
-    head, named = outfit.head(), outfit.named
-    options: list[tuple[str, ...]] = [(detail.text,) for detail in outfit.details if detail.main]
-    if outfit.parts:
-        options = [outfit.parts, outfit.parts[-1:]]
+    head, named = garment.head(), garment.named
+    options: list[tuple[str, ...]] = [(detail.text,) for detail in garment.details if detail.main]
+    if garment.parts:
+        options = [garment.parts, garment.parts[-1:]]
     for most in (USUAL_SHORT_WORDS, MOST_SHORT_WORDS):
         for option in options:
-            text = f"{head} with {joined(map(_noun_phrase, option) if outfit.parts else option)}"
+            text = f"{head} with {joined(map(_noun_phrase, option) if garment.parts else option)}"
             if len(text.split()) <= most:
                 return Said(_sentence(text), (*named, *option))
     return Said(_sentence(head), named)
 
 
-def _medium(outfit: _Garment) -> Said:
+def _medium(garment: _Garment) -> Said:
     """The name with its parts, and the main details; one more detail if the short caption states all these."""
-    main = [detail.text for detail in outfit.details if detail.main]
-    if set(_short(outfit).facts) >= {*outfit.named, *outfit.parts, *main}:
-        main += [detail.text for detail in outfit.details if not detail.main][:1]
-    facts = (*outfit.named, *outfit.parts, *main)
-    if outfit.parts:
-        first = f"{outfit.head()} with {joined(map(_noun_phrase, outfit.parts))}"
-        return Said(_sentence(first, *([f"{outfit.it_has} {joined(main)}"] if main else [])), facts)
+    main = [detail.text for detail in garment.details if detail.main]
+    if set(_short(garment).facts) >= {*garment.named, *garment.parts, *main}:
+        main += [detail.text for detail in garment.details if not detail.main][:1]
+    facts = (*garment.named, *garment.parts, *main)
+    if garment.parts:
+        first = f"{garment.head()} with {joined(map(_noun_phrase, garment.parts))}"
+        return Said(_sentence(first, *([f"{garment.it_has} {joined(main)}"] if main else [])), facts)
     now, later = main[:MOST_LISTED], main[MOST_LISTED:]
-    extra = [f"{outfit.it_has} {joined(later)} too"] if later else []
-    return Said(_sentence(f"{outfit.head()} with {joined(now)}", *extra), facts)
+    extra = [f"{garment.it_has} {joined(later)} too"] if later else []
+    return Said(_sentence(f"{garment.head()} with {joined(now)}", *extra), facts)
 
 
-def _full(facts: GarmentFacts, outfit: _Garment, rng: np.random.Generator) -> Said:
+def _full(facts: GarmentFacts, garment: _Garment, rng: np.random.Generator) -> Said:
     """All facts, from the top down."""
-    head = outfit.head()
-    if outfit.parts:
-        head = f"{head} with {joined(map(_noun_phrase, outfit.parts))}"
+    head = garment.head()
+    if garment.parts:
+        head = f"{head} with {joined(map(_noun_phrase, garment.parts))}"
     sentences = [head]
-    for number, (subject, listed) in enumerate(_paragraph(outfit)):
+    for number, (subject, listed) in enumerate(_paragraph(garment)):
         verb = "have" if subject in ("They", "The trousers", "The shorts") else "has"
         if subject == "It" and number == 0:
             verb = str(rng.choice(["has", "features"]))
         elif number:
             verb = f"also {verb}" if subject in ("It", "They") else verb
         sentences.append(f"{subject} {verb} {joined(listed)}")
-    sentences[-1] += _symmetry(facts, outfit, rng)
-    said = chain.from_iterable(listed for _, listed in _paragraph(outfit))
-    return Said(_sentence(*sentences), (*outfit.named, *outfit.parts, *said))
+    sentences[-1] += _symmetry(facts, garment, rng)
+    said = chain.from_iterable(listed for _, listed in _paragraph(garment))
+    return Said(_sentence(*sentences), (*garment.named, *garment.parts, *said))
 
 
-def _paragraph(outfit: _Garment) -> list[tuple[str, list[str]]]:
+def _paragraph(garment: _Garment) -> list[tuple[str, list[str]]]:
     """Subject and details of each sentence after the first."""
-    it = "They" if outfit.is_plural else "It"
+    it = "They" if garment.is_plural else "It"
 
-    def at(*places: Place) -> list[str]:
-        return [detail.text for detail in outfit.details if detail.place in places]
+    def at(*places: Zone) -> list[str]:
+        return [detail.text for detail in garment.details if detail.place in places]
 
-    if outfit.parts:
-        above = at(*UPPER, Place.WAIST)
+    if garment.parts:
+        above = at(*UPPER, Zone.WAIST)
         if len(above) > MOST_LISTED:
-            groups = [("It", at(Place.NECK, Place.SLEEVES)), ("It", at(Place.BODY, Place.WAIST))]
+            groups = [
+                ("It", at(Zone.NECK, Zone.SLEEVES)),
+                ("It", at(Zone.BODY, Zone.WAIST)),
+            ]
         else:
             groups = [("It", above)]
-        groups.append((f"The {outfit.lower}", at(Place.LOWER, Place.HEM)))
-    elif outfit.lower:
-        groups = [(it, at(Place.WAIST, Place.LOWER)), (it, at(Place.HEM))]
+        groups.append((f"The {garment.lower}", at(Zone.LOWER, Zone.HEM)))
+    elif garment.lower:
+        groups = [(it, at(Zone.WAIST, Zone.LOWER)), (it, at(Zone.HEM))]
     else:
-        groups = [(it, at(Place.NECK, Place.SLEEVES)), (it, at(Place.BODY, Place.WAIST, Place.HEM))]
-        if len(outfit.details) <= MOST_LISTED:
-            groups = [(it, at(*Place))]
+        groups = [
+            (it, at(Zone.NECK, Zone.SLEEVES)),
+            (it, at(Zone.BODY, Zone.WAIST, Zone.HEM)),
+        ]
+        if len(garment.details) <= MOST_LISTED:
+            groups = [(it, at(*Zone))]
     return [(subject, listed) for subject, listed in groups if listed]
 
 
-def _symmetry(facts: GarmentFacts, outfit: _Garment, rng: np.random.Generator) -> str:
+def _symmetry(facts: GarmentFacts, garment: _Garment, rng: np.random.Generator) -> str:
     """A clause about the two sides, or nothing."""
     if facts.is_symmetrical:
         return str(rng.choice([", and both sides match", ", and left and right are alike"]))
-    if "asymmetric" in outfit.adjectives:
+    if "asymmetric" in garment.adjectives:
         return str(rng.choice([", and the two sides differ", ", and left and right are cut differently"]))
     return ""
 

@@ -14,19 +14,16 @@ from typing import Self
 
 import numpy as np
 import warp as wp
-from jaxtyping import Bool
 
 from gcd_dataset.generator.drape.body_field import HostField, host_field
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.device import keep_freed_memory, launch_lock, to_host
+from gcd_dataset.generator.drape.device import WorkStream, keep_freed_memory, launch_lock, to_host, work_streams
 from gcd_dataset.generator.drape.holds import BodyConstraints
-from gcd_dataset.generator.drape.kernels.carry import Move, carry_contacts
-from gcd_dataset.generator.drape.kernels.refine import refine
+from gcd_dataset.generator.drape.kernels.carry import Move, carry_contacts, refine
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_worlds
 from gcd_dataset.generator.drape.solver import Solver, nothing
-from gcd_dataset.generator.drape.streams import WorkStream, work_streams
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
 from gcd_dataset.records import Drape
@@ -213,9 +210,12 @@ class Pass:
 
     def restarted(self, frames: int, config: DrapeConfig) -> Self:
         """The fine pass from the placed panels, after a coarse pass of ``frames`` frames that slid off the body."""
+        fine, mesh = self.fine, self.fine.box_mesh
+        if config.sewing_start:
+            fine = replace(fine, box_mesh=replace(mesh, vertices=sewing_start(mesh, fine.body)))
         return replace(
             self,
-            fine=_sewn_from_panels(self.fine) if config.sewing_start else self.fine,
+            fine=fine,
             coarse=None,
             constraints=_constraints(self.fine, None, self.prepared),
             coarse_frames=frames,
@@ -233,11 +233,6 @@ class Pass:
             previous_world=world,
             refined_from=self.coarse,
         )
-
-
-def _sewn_from_panels(job: DrapeJob) -> DrapeJob:
-    """The job with the start positions of ``sewing_start`` in its box mesh."""
-    return replace(job, box_mesh=replace(job.box_mesh, vertices=sewing_start(job.box_mesh, job.body)))
 
 
 def _job(fine: DrapeJob, coarse: CoarseMesh | None) -> DrapeJob:
@@ -353,7 +348,8 @@ class Lane:
         """
         if self._solver is None or self._continued is not None:
             return True
-        running = self._read_status()
+        assert self._status is not None
+        running = self._status.numpy() == RUNNING
         refining = np.array([each.coarse is not None for each in self._passes])
         idle = ~running & refining if self._pending.ended else ~running
         free = min(arrived(), self._size - len(self._passes))
@@ -380,15 +376,11 @@ class Lane:
                 self._queue(POLL_EVERY)
         return []
 
-    def free_memory(self) -> None:
-        """Free the memory of past batches."""
-        self._synchronize()
-
     def _collect(self) -> list[tuple[int, Drape]]:
         """The drapes of the garments that have ended their last fine pass; those that cross are draped again."""
         solver, passes = self._solver, self._passes
         assert solver is not None
-        self._synchronize()
+        self.synchronize()
         running = to_host(solver.state.status) == RUNNING  # frames queued ahead may have ended more garments
         frames = to_host(solver.state.frames)
         ended = [k for k in np.flatnonzero(~running).tolist() if passes[k].coarse is None]
@@ -400,7 +392,7 @@ class Lane:
             for k, each in enumerate(passes)
             if each.coarse and not running[k]
         ]
-        self._synchronize()
+        self.synchronize()
         finished: list[tuple[int, Drape]] = []
         for k, drape in zip(ended, drapes, strict=True):
             whole = replace(drape, frames=drape.frames + passes[k].coarse_frames)
@@ -420,7 +412,7 @@ class Lane:
         if passes:
             self._solver = next_batch(passes, previous, self._config, self._device)
         self._passes, self._continued, self._status = passes, None, None
-        self._synchronize()
+        self.synchronize()
 
     def _queue(self, frames: int) -> None:
         """Queue frames, and a copy of the status after them; on a CPU, run them."""
@@ -438,11 +430,8 @@ class Lane:
         wp.copy(self._status, solver.state.status)
         self._stream.mark()
 
-    def _read_status(self) -> Bool[np.ndarray, " w"]:
-        assert self._status is not None
-        return self._status.numpy() == RUNNING
-
-    def _synchronize(self) -> None:
+    def synchronize(self) -> None:
+        """Wait for the device, and free the memory of past batches."""
         if self._stream is not None:
             self._stream.wait()
 
@@ -479,7 +468,11 @@ def drape_unordered(
     """
     pending = PendingJobs(jobs, config)
     count = min(lanes or (1 if device == "cpu" else LANES), at_once)
-    batches = _lanes(pending, config, device, at_once, count, between)
+    sizes = [at_once // count + (number < at_once % count) for number in range(count)]
+    batches = [
+        Lane(pending, config, device, size=size, stream=stream, between=between)
+        for size, stream in zip(sizes, work_streams(device, count), strict=True)
+    ]
     if device != "cpu":
         wp.synchronize_device(device)  # a work stream does not wait for other streams
     with keep_freed_memory(device):
@@ -497,18 +490,6 @@ def drape_unordered(
             if not ready:
                 time.sleep(POLL_SECONDS)
         for lane in batches:
-            lane.free_memory()
+            lane.synchronize()
     if pending.error is not None:
         raise pending.error
-
-
-def _lanes(
-    pending: PendingJobs, config: DrapeConfig, device: str, at_once: int, count: int, between: Callable[[], None]
-) -> list[Lane]:
-    """``count`` lanes with room for ``at_once`` garments in total."""
-    sizes = [at_once // count + (number < at_once % count) for number in range(count)]
-    streams = work_streams(device, count)
-    return [
-        Lane(pending, config, device, size=size, stream=stream, between=between)
-        for size, stream in zip(sizes, streams, strict=True)
-    ]

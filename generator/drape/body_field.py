@@ -21,8 +21,8 @@ from scipy.spatial import ConvexHull
 
 from gcd_dataset.generator.body.repair import VisibleSkin, half_edges_of
 from gcd_dataset.generator.body.surface import kept_per_body
+from gcd_dataset.generator.drape.device import native_builds
 from gcd_dataset.generator.drape.kernels.field import BLOCK, Hull, Voxels, add_hulls, fill_fields, measure_blocks
-from gcd_dataset.generator.drape.streams import native_builds
 from gcd_dataset.records import Body, BodyPart
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
@@ -182,20 +182,14 @@ class _SkinTopology:
     """A skin's topology and the data derived from it, shared by all bodies of that topology."""
 
     skin: VisibleSkin
-    triangles: Int[np.ndarray, " 3g"]
-    """See ``HostField.triangles``."""
-    edges: Int[np.ndarray, "e 2"]
-    """See ``HostField.edges``."""
-    vertices: Int[np.ndarray, " v"]
-    """Vertices that belong to a face."""
-    arms: tuple[Int[np.ndarray, " l"], Int[np.ndarray, " r"]]
-    """Faces of the left and the right arm, without hands."""
-    hands: Int[np.ndarray, " h"]
-    """Faces of both hands."""
+    triangles: Int[np.ndarray, " 3g"]  # see ``HostField.triangles``
+    edges: Int[np.ndarray, "e 2"]  # see ``HostField.edges``
+    vertices: Int[np.ndarray, " v"]  # vertices that belong to a face
+    arms: tuple[Int[np.ndarray, " l"], Int[np.ndarray, " r"]]  # faces of the left and the right arm, without hands
+    hands: Int[np.ndarray, " h"]  # faces of both hands
     extremities: tuple[Int[np.ndarray, " h"], Int[np.ndarray, " f"], Int[np.ndarray, " c"]]
     """Vertices of the faces of both hands, of both feet, and of the head. Without feet: of both legs."""
-    trunk: Int[np.ndarray, " t"]
-    """Vertices of the faces of the trunk."""
+    trunk: Int[np.ndarray, " t"]  # vertices of the faces of the trunk
     axis_vertices: tuple[Int[np.ndarray, " a"], ...]
     """For each of ``AXES`` a vertex of every eighth face of its parts; of the whole body if it lacks the parts."""
 

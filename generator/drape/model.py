@@ -1,10 +1,12 @@
-"""The constant data of a batch on a device: flat arrays, one garment ("world") after the other.
+"""The data of a batch on a device: flat arrays, one garment ("world") after the other; and the initial state.
 
 ``ClothModel`` holds all that stays constant during a drape, ``ClothState`` all that changes.
 """
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
@@ -15,7 +17,14 @@ from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.rows import add_inertia
-from gcd_dataset.generator.drape.kernels.world import Cloth, World
+from gcd_dataset.generator.drape.kernels.world import (
+    ClothArrays,
+    Contacts,
+    CrossingWatch,
+    FrameCounts,
+    SearchState,
+    World,
+)
 from gcd_dataset.generator.drape.topology import Topology, build_topology
 
 STABLE = 4.0 / (1.0 + 2.0 * LOOK_AHEAD)  # stability limit of (omega h)², see kernels/elastic.py
@@ -35,7 +44,7 @@ class ClothModel:
     device: str
     worlds: wp.array
     """(w) ``World``: parameters of each garment."""
-    cloth: Cloth
+    cloth: ClothArrays
     rows: Rows
     topology: Topology
     face_world: wp.array
@@ -78,16 +87,20 @@ def build_model(
     topology = build_topology(jobs, [each.keepers for each in constraints], device)
     bodies = body_fields([job.body for job in jobs], device, fields)
     field, offsets, parts = _join_fields(bodies, device)
-    steps, lengths = _time_steps(topology), _median_lengths(topology)
+    stiffness, ends = to_host(topology.stiffness), topology.vertex_offset
+    ratios = _medians(to_host(topology.mass) / np.maximum(stiffness, 1e-9), ends)
+    # Stable at ``INERTIA_GAIN`` times the median mass per stiffness.
+    steps = np.sqrt(SAFETY * STABLE * INERTIA_GAIN * np.array(ratios))
+    lengths = _medians(to_host(topology.hinges.spring)[:, 1], topology.edge_offset)
     times = sewing_times or [config.sewing_time] * len(jobs)
     worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0, times[k]) for k, job in enumerate(jobs)]
-    for k, (world, stiffness) in enumerate(zip(worlds, _median_stiffness(topology), strict=True)):
-        world.stiffness = stiffness
+    for k, (world, median) in enumerate(zip(worlds, _medians(stiffness, ends), strict=True)):
+        world.stiffness = float(median)
         world.max_frames = config.max_frames // 2 if k in coarse else config.max_frames
     for world, step, length, start, end in zip(
         worlds, steps, lengths, topology.vertex_offset, topology.vertex_offset[1:], strict=False
     ):
-        _add_garment(world, config, float(step), length, int(start), int(end - start))
+        _add_garment(world, config, float(step), float(length), int(start), int(end - start))
     for world, body, offset, each in zip(worlds, bodies, offsets, constraints, strict=True):
         world.keepers, world.lowest, world.floor = len(each.keepers), each.lowest, each.floor_height
         world.holds = int(each.hold_normal.any(axis=1).sum()) if config.holds else 0
@@ -113,13 +126,13 @@ def build_model(
 
 def _cloth(
     constraints: Sequence[BodyConstraints], config: DrapeConfig, topology: Topology, inertia: wp.array, device: str
-) -> Cloth:
-    """The ``Cloth`` struct without the body fields and meshes, which the caller adds."""
+) -> ClothArrays:
+    """The ``ClothArrays`` struct without the body fields and meshes, which the caller adds."""
 
     def put(arrays: Sequence[np.ndarray], kind: type, dtype: type) -> wp.array:
         return wp.array(np.concatenate(arrays).astype(kind, copy=False), dtype=dtype, device=device)
 
-    cloth = Cloth()
+    cloth = ClothArrays()
     cloth.vertex_world, cloth.mass, cloth.inertia = topology.vertex_world, topology.mass, inertia
     surface = topology.surface
     cloth.faces, cloth.edges, cloth.edge_opposite = surface.faces, surface.edges, surface.opposite
@@ -133,19 +146,9 @@ def _cloth(
     return cloth
 
 
-def _time_steps(topology: Topology) -> np.ndarray:
-    """The time step of each garment [s], stable at ``INERTIA_GAIN`` times the median mass per stiffness."""
-    ratio = to_host(topology.mass) / np.maximum(to_host(topology.stiffness), 1e-9)
-    spans = zip(topology.vertex_offset[:-1], topology.vertex_offset[1:], strict=True)
-    median = np.array([np.median(ratio[a:b:SAMPLE]) for a, b in spans])
-    return np.sqrt(SAFETY * STABLE * INERTIA_GAIN * median)
-
-
-def _median_stiffness(topology: Topology) -> list[float]:
-    """The median stiffness of each garment's vertices [g/s²]."""
-    stiffness = to_host(topology.stiffness)
-    spans = zip(topology.vertex_offset[:-1], topology.vertex_offset[1:], strict=True)
-    return [float(np.median(stiffness[a:b:SAMPLE])) for a, b in spans]
+def _medians(values: np.ndarray, offsets: np.ndarray) -> list[np.floating]:
+    """The median of each garment's values."""
+    return [np.median(values[a:b:SAMPLE]) for a, b in pairwise(offsets)]
 
 
 def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:
@@ -154,13 +157,6 @@ def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:
     inputs = [topology.vertex_world, topology.mass, topology.stiffness, step_sq]
     wp.launch(add_inertia, dim=len(inertia), inputs=inputs, outputs=[inertia], device=device)
     return inertia
-
-
-def _median_lengths(topology: Topology) -> list[float]:
-    """The median flat length of each garment's edges [cm]."""
-    flat = to_host(topology.hinges.spring)[:, 1]
-    spans = zip(topology.edge_offset[:-1], topology.edge_offset[1:], strict=True)
-    return [float(np.median(flat[a:b:SAMPLE])) for a, b in spans]
 
 
 def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float, sewing_time: float) -> World:
@@ -214,3 +210,118 @@ def _join_fields(bodies: Sequence[BodyField], device: str) -> tuple[wp.array, li
         wp.copy(values, body.distance.flatten(), dest_offset=at, count=size)
         wp.copy(parts, body.part.flatten(), dest_offset=at, count=size)
     return values, [offset[id(body)] for body in bodies], parts
+
+
+NOT_COUNTED = 2**31 - 1  # initial minimum of crossings, above any count
+
+
+@dataclass(frozen=True)
+class ClothState:
+    """All that changes during a drape, on the model's device. ``w v f``: worlds, vertices, faces."""
+
+    x: wp.array
+    """(v) positions [cm]."""
+    v: wp.array
+    """(v) velocities [cm/s]."""
+    ahead: wp.array
+    """(v) predicted positions at which elastic forces are evaluated, see ``kernels.elastic`` [cm]."""
+    ahead_next: wp.array
+    """(v) predicted positions for the next substep; the two buffers swap after each substep [cm]."""
+    x_seen: wp.array
+    """(v) positions at the end of the last frame [cm]."""
+    push: wp.array
+    """(v, 5) fixed-point sums over the contacts of a vertex: displacement x, y, z, contact weight, and displacement off
+    the skin by long edges, see ``kernels.push``."""
+    contact_weight: wp.array
+    """(v) sum of the weights of a vertex's contacts, from the last substep."""
+    beside: wp.array
+    """(v) 1 where the last search found another vertex nearby."""
+    tangled: wp.array
+    """(v) 1 where an edge or a face of the vertex crosses the cloth."""
+    passed: wp.array
+    """(v) 1 where the vertex was on the wrong side of cloth at the last search."""
+    time: wp.array
+    """(w) simulated time [s]."""
+    held: wp.array
+    """(w) 1 while waist and collar are held."""
+    loose_after: wp.array
+    """(w) earliest time at which a released garment may count as at rest [s]."""
+    status: wp.array
+    """(w) ``RUNNING``, ``DONE``, ``DIVERGED`` or ``STOPPED``."""
+    frames: wp.array
+    """(w) frames run so far."""
+    search: SearchState
+    counts: FrameCounts
+    crossing: CrossingWatch
+    newest: wp.array
+    """(buckets) hash grid of the broad phase: the first vertex of each bucket's linked list."""
+    older: wp.array
+    """(v) the next vertex in the linked list."""
+    lower: wp.array
+    """(f) lower corners of the faces' bounding boxes [cm]."""
+    upper: wp.array
+    """(f) upper corners of the faces' bounding boxes [cm]."""
+    contacts: Contacts
+
+
+def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
+    """The initial state: every garment at rest where its panels are placed."""
+    n, worlds, faces = model.n_vertices, model.n_worlds, len(model.face_world)
+    zeros = partial(_zeros, model.device)
+    start = model.topology.start
+    ones = partial(wp.ones, dtype=int, device=model.device)
+    search, counts, crossing = SearchState(), FrameCounts(), CrossingWatch()
+    search.x, search.skin, search.listed = wp.clone(start), zeros(n, wp.vec4), zeros(n, int)
+    search.moved_far, search.searching, search.any_search = ones(worlds), zeros(worlds, int), zeros(1, int)
+    counts.moving, counts.fast, counts.keeper_height = (zeros(worlds, int) for _ in range(3))
+    counts.above_floor = zeros(worlds, int)
+    crossing.due, crossing.searched, crossing.separated = zeros(worlds, int), ones(worlds), ones(worlds)
+    crossing.least = wp.full(worlds, NOT_COUNTED, dtype=int, device=model.device)
+    crossing.least_at, crossing.any_searched = zeros(worlds, int), ones(1)
+    return ClothState(
+        x=wp.clone(start),
+        v=zeros(n, wp.vec3),
+        ahead=wp.clone(start),
+        ahead_next=wp.clone(start),
+        x_seen=wp.clone(start),
+        push=wp.zeros((n, 5), dtype=int, device=model.device),
+        contact_weight=wp.ones(n, dtype=float, device=model.device),
+        beside=wp.ones(n, dtype=int, device=model.device),
+        tangled=zeros(n, int),
+        passed=zeros(n, int),
+        time=zeros(worlds, float),
+        held=wp.ones(worlds, dtype=int, device=model.device),
+        loose_after=zeros(worlds, float),
+        status=zeros(worlds, int),
+        frames=zeros(worlds, int),
+        search=search,
+        counts=counts,
+        crossing=crossing,
+        newest=zeros(1 << (2 * n - 1).bit_length(), int),
+        older=zeros(n, int),
+        lower=zeros(faces, wp.vec3),
+        upper=zeros(faces, wp.vec3),
+        contacts=_empty_contacts(model, config.contact_capacity),
+    )
+
+
+def _empty_contacts(model: ClothModel, capacity: int) -> Contacts:
+    """Empty lists with room for ``capacity`` entries for each vertex of a world."""
+    size, worlds = capacity * model.n_vertices, model.n_worlds
+    zeros = partial(_zeros, model.device)
+    lists = Contacts()
+    lists.room = capacity
+    lists.near, lists.long_edges, lists.crossings = (zeros(size, wp.vec2i) for _ in range(3))
+    lists.points, lists.sides = zeros(size, wp.vec4i), zeros(size, float)
+    lists.edges, lists.normals = zeros(size, wp.vec4i), zeros(size, wp.vec3)
+    lists.kept_points, lists.kept_sides = zeros(size, wp.vec4i), zeros(size, float)
+    lists.kept_edges, lists.kept_normals = zeros(size, wp.vec4i), zeros(size, wp.vec3)
+    lists.kept_point_count, lists.kept_edge_count = zeros(worlds, int), zeros(worlds, int)
+    lists.near_count, lists.point_count, lists.edge_count = (zeros(worlds, int) for _ in range(3))
+    lists.own_work, lists.work, lists.near_work = zeros(worlds, int), zeros(worlds + 1, int), zeros(worlds + 1, int)
+    lists.long_count, lists.crossing_count, lists.overfull = (zeros(worlds, int) for _ in range(3))
+    return lists
+
+
+def _zeros(device: str, size: int, dtype: type) -> wp.array:
+    return wp.zeros(size, dtype=dtype, device=device)

@@ -18,8 +18,8 @@ from gcd_dataset.generator.drape.device import launch_lock, to_host
 from gcd_dataset.generator.drape.holds import fell, find_keepers, off_body
 from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, STOPPED
+from gcd_dataset.generator.drape.model import NOT_COUNTED
 from gcd_dataset.generator.drape.solver import Solver
-from gcd_dataset.generator.drape.state import NOT_COUNTED
 from gcd_dataset.records import Drape, Outcome
 
 STEP = 1.0 / 120.0  # s
@@ -207,11 +207,11 @@ def best_of(drapes: Sequence[Drape]) -> Drape:
 
     Of drapes with equally many crossings the earliest.
     """
-    return min(drapes, key=lambda drape: (*_failure(drape), _crossings(drape)))
 
+    def order(drape: Drape) -> tuple[bool, bool, int]:
+        return drape.outcome not in KEEPS_CROSSINGS, drape.outcome is not Outcome.SETTLED, _crossings(drape)
 
-def _failure(drape: Drape) -> tuple[bool, bool]:
-    return drape.outcome not in KEEPS_CROSSINGS, drape.outcome is not Outcome.SETTLED
+    return min(drapes, key=order)
 
 
 def _crossings(drape: Drape) -> int:

@@ -7,15 +7,12 @@ import warp as wp
 from jaxtyping import Bool, Int
 
 from gcd_dataset.errors import DrapeError
-from gcd_dataset.generator.drape.body_field import BodyField
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.device import launch_lock, to_host
-from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, finish, search, sides, step, stillness
+from gcd_dataset.generator.drape.device import launch_lock, native_builds, to_host
+from gcd_dataset.generator.drape.kernels import contacts, crossing, finish, search, sides, step, stillness
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.loading import load_drape
-from gcd_dataset.generator.drape.model import ClothModel
-from gcd_dataset.generator.drape.state import new_state
-from gcd_dataset.generator.drape.streams import native_builds
+from gcd_dataset.generator.drape.model import ClothModel, new_state
 
 REBUILD_EVERY = 10  # frames between two builds of the BVH; in between it is refitted
 FINISHING_ROUNDS = 4
@@ -116,46 +113,36 @@ class Solver:
 
     def self_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
         """(w) edges of each world's cloth that cross the cloth; 0 outside ``worlds``."""
-        m = self.model
-        chosen = self._chosen(worlds)
-        counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
-        self._refit_bvh()
-        self.launch(
-            crossing.count_self_crossings,
-            m.n_edges,
-            [m.cloth, self._bvh.id, self._roots, chosen, self.state.x],
-            [counts],
-        )
-        return to_host(counts)
+        inputs = [self.model.cloth, *self.refitted_bvh()]
+        return self._counted(crossing.count_self_crossings, self.model.n_edges, inputs, worlds)
 
     def body_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
         """(w) edges of each world's cloth that cross the skin; 0 outside ``worlds``."""
-        m = self.model
-        chosen = self._chosen(worlds)
-        counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
-        self.launch(crossing.count_body_crossings, m.n_edges, [m.cloth, chosen, self.state.x], [counts])
-        return to_host(counts)
+        return self._counted(crossing.count_body_crossings, self.model.n_edges, [self.model.cloth], worlds)
 
     def body_through(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
         """(w) edges of each world's skin that cross the cloth; 0 outside ``worlds``."""
-        m = self.model
-        chosen = self._chosen(worlds)
-        counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
         edges, most_edges = self._body_edges()
-        self._refit_bvh()
-        self.launch(
-            crossing.count_body_through,
-            (m.n_worlds, most_edges),
-            [m.cloth, edges, self._bvh.id, self._roots, chosen, self.state.x],
-            [counts],
-        )
+        inputs = [self.model.cloth, edges, *self.refitted_bvh()]
+        return self._counted(crossing.count_body_through, (self.model.n_worlds, most_edges), inputs, worlds)
+
+    def _counted(
+        self, kernel: wp.Kernel, dim: int | tuple[int, int], inputs: list, worlds: Bool[np.ndarray, " w"] | None
+    ) -> Int[np.ndarray, " w"]:
+        """(w) what a kernel counts in the given worlds."""
+        counts = wp.zeros(self.model.n_worlds, dtype=int, device=self.model.device)
+        self.launch(kernel, dim, [*inputs, self._chosen(worlds), self.state.x], [counts])
         return to_host(counts)
 
     def _body_edges(self) -> tuple[wp.array, int]:
         """(w) the edges of each world's skin, and the largest number of them."""
-        bodies = self.model.bodies
-        edges = wp.array([_edges_of(body) for body in bodies], dtype=crossing.BodyEdges, device=self.model.device)
-        return edges, max(len(body.edges) for body in bodies)
+        skins = []
+        for body in self.model.bodies:
+            skin = crossing.BodyEdges()
+            skin.mesh, skin.ends = body.mesh.id, body.edges
+            skins.append(skin)
+        longest = max(len(body.edges) for body in self.model.bodies)
+        return wp.array(skins, dtype=crossing.BodyEdges, device=self.model.device), longest
 
     def stretches(self) -> np.ndarray:
         """(e) length over flat length of every edge."""
@@ -320,7 +307,7 @@ class Solver:
 
     def _bound_faces(self) -> None:
         m, s = self.model, self.state
-        self.launch(boxes.bound_faces, len(m.face_world), [m.cloth, s.x], [s.lower, s.upper])
+        self.launch(crossing.bound_faces, len(m.face_world), [m.cloth, s.x], [s.lower, s.upper])
 
     @property
     def _threads(self) -> int:
@@ -331,9 +318,3 @@ class Solver:
         """Launch a kernel on the model's device, in blocks that suit the batch."""
         block = 64 if self.model.n_vertices < GPU_THREADS else 256  # small blocks spread a small batch over the GPU
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.model.device, block_dim=block)
-
-
-def _edges_of(body: BodyField) -> crossing.BodyEdges:
-    edges = crossing.BodyEdges()
-    edges.mesh, edges.ends = body.mesh.id, body.edges
-    return edges

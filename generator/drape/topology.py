@@ -1,6 +1,6 @@
 """Topology of a batch on its device: edges, hinges and rows of elastic weights, from the box meshes."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +26,7 @@ class Topology:
     """(v) world of each vertex."""
     start: wp.array
     """(v) positions before sewing [cm]."""
-    surface: kernels.Surface
+    surface: kernels.ClothSurface
     hinges: kernels.Hinges
     mass: wp.array
     """(v) mass [g]."""
@@ -48,7 +48,8 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
     load_drape(device)
     meshes = [job.box_mesh for job in jobs]
     batch = _MeshBatch(
-        device, *(_offsets(map(len, arrays)) for arrays in zip(*map(_counted_arrays, meshes), strict=True))
+        device,
+        *(np.cumsum([0, *(len(getattr(mesh, name)) for mesh in meshes)]) for name in ("vertices", "uv", "faces")),
     )
     start = batch.joined([mesh.vertices for mesh in meshes], np.float32, wp.vec3)
     sizes = np.diff(batch.vertices)
@@ -86,12 +87,12 @@ class _MeshBatch:
     corners: np.ndarray
     faces: np.ndarray
 
-    def surface(self, meshes: Sequence[BoxMesh]) -> kernels.Surface:
+    def surface(self, meshes: Sequence[BoxMesh]) -> kernels.ClothSurface:
         """Faces with their flat corner coordinates; ``describe_edges`` adds the edges."""
         count = int(self.faces[-1])
         corner = self.joined([mesh.corners for mesh in meshes], np.int32, wp.vec3i, self.corners)
         uv = self.joined([mesh.uv for mesh in meshes], np.float64, wp.vec2d)
-        surface = kernels.Surface()
+        surface = kernels.ClothSurface()
         surface.faces = self.joined([mesh.faces for mesh in meshes], np.int32, wp.vec3i, self.vertices)
         surface.flat = self.empty((count, 3), wp.vec2d)
         surface.side_edge = self.empty(3 * count, int)
@@ -99,7 +100,7 @@ class _MeshBatch:
         return surface
 
     def describe_edges(
-        self, surface: kernels.Surface, start: wp.array, world: wp.array, sheets: wp.array
+        self, surface: kernels.ClothSurface, start: wp.array, world: wp.array, sheets: wp.array
     ) -> tuple[kernels.Hinges, np.ndarray]:
         """Fills the edges of ``surface``; returns springs and hinges, and the first edge of each garment."""
         sides = 3 * int(self.faces[-1])
@@ -122,7 +123,7 @@ class _MeshBatch:
         self.launch(kernels.describe_edges, sides, inputs, [surface, hinges])
         return hinges, offsets
 
-    def find_neighbours(self, surface: kernels.Surface) -> None:
+    def find_neighbours(self, surface: kernels.ClothSurface) -> None:
         """Fill the faces and edges round each vertex in ``surface`` (compressed sparse rows)."""
         sides, ends = 3 * int(self.faces[-1]), 2 * len(surface.edges)
         surface.vertex_faces, surface.first_face = self._by_vertex(kernels.key_corners, surface.faces, sides)
@@ -140,7 +141,7 @@ class _MeshBatch:
         self.launch(kernels.find_firsts, size + 1, [keys, size], [first])
         return owner[:size], first
 
-    def rows(self, surface: kernels.Surface, *, coupled: bool) -> Rows:
+    def rows(self, surface: kernels.ClothSurface, *, coupled: bool) -> Rows:
         """Uninitialised rows for all vertices; ``coupled``: with the corners that fabrics with a grain need."""
         n = int(self.vertices[-1])
         widest = max(USUAL, int(np.diff(to_host(surface.first_edge)).max()))
@@ -180,12 +181,3 @@ class _MeshBatch:
 
     def empty(self, size: int | tuple[int, ...], dtype: type) -> wp.array:
         return wp.empty(size, dtype=dtype, device=self.device)
-
-
-def _counted_arrays(mesh: BoxMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return mesh.vertices, mesh.uv, mesh.faces
-
-
-def _offsets(sizes: Iterable[int]) -> np.ndarray:
-    """Offsets of consecutive blocks, ending with the total: sizes 2, 3 give 0, 2, 5."""
-    return np.cumsum([0, *sizes])

@@ -8,7 +8,7 @@ from typing import Self
 from gcd_dataset.generator.drape import DrapeJob, batch_capacity, drape_batch, resolve_device
 from gcd_dataset.generator.drape.batches import drape_unordered
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, make_reply, require_faces
+from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, make_reply
 from gcd_dataset.records import Drape
 
 
@@ -27,7 +27,7 @@ class LocalDraper:
         self._batch: Iterator[DrapeReply] | None = None
 
     def send(self, request: DrapeRequest) -> None:
-        require_faces(request)
+        request.job.require_drapeable()
         if request.retry:
             self._waiting.appendleft(request)
         else:

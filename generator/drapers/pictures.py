@@ -43,7 +43,9 @@ class PictureQueue:
         if self._pending and _sizes(self._pending[0].request) != _sizes(request):
             self._render()
         self._pending.append(_PendingRequest(request, drape, reply))
-        if len(self._pending) >= self._batch_size(_pixels(request)):
+        views = request.views
+        pixels = len(SIDES) * request.picture**2 + (0 if views is None else views.count * views.size**2)
+        if len(self._pending) >= self._batch_size(pixels):
             self._render()
 
     def advance(self) -> None:
@@ -124,9 +126,3 @@ class _Renderings:
 def _sizes(request: DrapeRequest) -> tuple[int, int]:
     """Sizes of the pictures that a request asks for; requests of the same sizes are rendered together."""
     return request.picture, 0 if request.views is None else request.views.size
-
-
-def _pixels(request: DrapeRequest) -> int:
-    """Pixels of all pictures that a request asks for."""
-    views = request.views
-    return len(SIDES) * request.picture**2 + (0 if views is None else views.count * views.size**2)

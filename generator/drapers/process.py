@@ -21,7 +21,6 @@ from functools import partial
 from multiprocessing.connection import Connection, Listener
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Protocol
 
 from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drape import DrapeJob, batch_capacity, resolve_device
@@ -62,16 +61,6 @@ def main(folder: Path, device: str) -> None:
         raise
 
 
-class Client(Protocol):
-    """The sender of a request."""
-
-    connected: bool
-    """Whether the client still waits for replies."""
-
-    def reply(self, reply: DrapeReply) -> None:
-        """Send a reply, without waiting."""
-
-
 class ClientConnection:
     """A connection with a reader and a writer thread, so that a client that does not read delays no other."""
 
@@ -79,6 +68,7 @@ class ClientConnection:
         self._connection, self._requests = connection, requests
         self._replies: SimpleQueue[DrapeReply | str | None] = SimpleQueue()
         self.connected = True
+        """Whether the client still waits for replies."""
         self._writer = threading.Thread(target=self._write, daemon=True)
         self._writer.start()
         threading.Thread(target=self._read, daemon=True).start()
@@ -116,16 +106,18 @@ class RequestQueue:
     """Waiting requests, and the requests of the garments in the batch."""
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[Client, DrapeRequest, DrapeJob | PreparedJob]] = deque()
+        self._waiting: deque[tuple[ClientConnection, DrapeRequest, DrapeJob | PreparedJob]] = deque()
         self._arrived = threading.Condition()
         self._connections: set[ClientConnection] = set()
-        self._draping: dict[int, tuple[Client, DrapeRequest]] = {}
+        self._draping: dict[int, tuple[ClientConnection, DrapeRequest]] = {}
         """Client and request of each garment in the batch, by the number of its job."""
         self._clock = WaitClock()
 
-    def put(self, client: Client, request: DrapeRequest) -> None:
+    def put(self, client: ClientConnection, request: DrapeRequest) -> None:
         """Prepare the job in the calling thread, and add the request; a retry goes first."""
-        job = _prepared(request.job)
+        job: DrapeJob | PreparedJob = request.job
+        with contextlib.suppress(Exception):  # raised again in the drape
+            job = PreparedJob.of(request.job)
         with self._arrived:
             if request.retry:
                 self._waiting.appendleft((client, request, job))
@@ -166,7 +158,7 @@ class RequestQueue:
                 pictures.add(request, drape, partial(self._reply, client, device))
         pictures.flush()
 
-    def _reply(self, client: Client, device: str, reply: DrapeReply) -> None:
+    def _reply(self, client: ClientConnection, device: str, reply: DrapeReply) -> None:
         """Send a reply, with the time that this process has waited since the last one."""
         client.reply(replace(reply, waits={device: self._clock.lap()}))
 
@@ -174,7 +166,10 @@ class RequestQueue:
         """The jobs of waiting requests, without end; ``None`` whenever no request waits."""
         number = 0
         while True:
-            entry = self._pop()
+            with self._arrived:
+                while self._waiting and not self._waiting[0][0].connected:
+                    self._waiting.popleft()
+                entry = self._waiting.popleft() if self._waiting else None
             if entry is None:
                 yield None
             else:
@@ -182,23 +177,6 @@ class RequestQueue:
                 self._draping[number] = client, request
                 number += 1
                 yield job
-
-    def _pop(self) -> tuple[Client, DrapeRequest, DrapeJob | PreparedJob] | None:
-        """The next request of a connected client."""
-        with self._arrived:
-            while self._waiting:
-                entry = self._waiting.popleft()
-                if entry[0].connected:
-                    return entry
-        return None
-
-
-def _prepared(job: DrapeJob) -> DrapeJob | PreparedJob:
-    """The prepared job. On failure the job itself: the drape reports the error."""
-    try:
-        return PreparedJob.of(job)
-    except Exception:  # noqa: BLE001 - raised again in the drape
-        return job
 
 
 def _raise_file_limit() -> None:

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
+from gcd_dataset.generator.dressing.frame import wearer_of
 from gcd_dataset.generator.dressing.hanging import label_panels
 from gcd_dataset.generator.dressing.hold_edges import has_legs, label_edges
 from gcd_dataset.generator.dressing.placing import place_panels, turn_sleeves
-from gcd_dataset.generator.dressing.wearer import wearer_of
 from gcd_dataset.records import Body, Measurements, Pattern
 
 __all__ = ["Dressing", "dress", "has_legs"]
@@ -31,10 +31,6 @@ def dress(pattern: Pattern, body: Body, size: Measurements) -> Dressing:
     labelled, parts = label_panels(placed, wearer)
     aimed, turned = turn_sleeves(labelled, wearer)
     held, holds = label_edges(aimed, wearer)
-    return Dressing(held, (*moved, *parts, *turned, *holds, *_without_seams(held)))
-
-
-def _without_seams(pattern: Pattern) -> tuple[str, ...]:
-    if len(pattern.panels) > 1 and not pattern.seams:
-        return ("the pattern has no stitches: its panels fall one by one; add pattern.stitches",)
-    return ()
+    alone = len(held.panels) > 1 and not held.seams
+    lacking = ("the pattern has no stitches: its panels fall one by one; add pattern.stitches",) if alone else ()
+    return Dressing(held, (*moved, *parts, *turned, *holds, *lacking))

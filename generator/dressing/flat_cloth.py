@@ -10,6 +10,7 @@ from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import spsolve
 
+from gcd_dataset.generator.mesh.triangulate import flat_areas
 from gcd_dataset.records import BoxMesh
 
 LEAST_WEIGHT = 0.01  # lower limit of cotangent weights: positive weights give the maximum principle
@@ -39,8 +40,7 @@ class FlatCloth:
     @property
     def area(self) -> float:
         """Flat area [cm²]."""
-        a, b = self.uv[:, 1] - self.uv[:, 0], self.uv[:, 2] - self.uv[:, 0]
-        return 0.5 * float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+        return float(np.abs(flat_areas(self.uv)).sum())
 
     @cached_property
     def vertices(self) -> Int[np.ndarray, " n"]:

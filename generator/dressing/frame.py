@@ -4,16 +4,45 @@ Some data sets put the origin at the pelvis or the neck instead of the floor bet
 edge is placed where nobody wears it is moved as a whole.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from gcd_dataset.generator.body.limbs import Limb, limbs_of
 from gcd_dataset.generator.dressing.openings import ASIDE, Opening, edge_points, middle_of, openings_of, panel_outline
-from gcd_dataset.generator.dressing.wearer import Wearer
-from gcd_dataset.records import BodyPart, EdgeRole, Panel, PanelRole, Pattern, Placement
+from gcd_dataset.records import Body, BodyPart, EdgeRole, Measurements, Panel, PanelRole, Pattern, Placement
 from gcd_dataset.spec import is_bodice, role_by_name
+
+
+@dataclass(frozen=True, eq=False)
+class Wearer:
+    """A body with levels above the floor [cm] and limbs."""
+
+    nape: float
+    armpit: float
+    waist: float
+    hips: float
+    crotch: float
+    limbs: Mapping[BodyPart, Limb]
+    body: Body
+
+
+def wearer_of(body: Body, size: Measurements) -> Wearer:
+    """The levels and limbs of a body. Raises ``BodyError`` for a missing measure or a body without a trunk."""
+    size.require("height", "head_l", "waist_line", "hips_line", "armscye_depth", "crotch_hip_diff")
+    nape = size.height - size.head_l
+    return Wearer(
+        nape=nape,
+        armpit=nape - size.armscye_depth,
+        waist=size.waist_level,
+        hips=size.waist_level - size.hips_line,
+        crotch=size.waist_level - size.hips_line - size.crotch_hip_diff,
+        limbs=limbs_of(body),
+        body=body,
+    )
+
 
 UNDER_NAPE = 5.0  # cm from the nape down to the highest point of a neckline, as GarmentCode hangs bodices
 OVER = 20.0  # cm above the height at which an edge is worn: the highest place of one for a taller wearer
@@ -81,7 +110,9 @@ def _support(pattern: Pattern, wearer: Wearer, *, middle: float) -> _Support:
 
     ``middle``: x of the garment's plane of symmetry [cm].
     """
-    panels, openings, roles = pattern.panels, openings_of(pattern), {p.name: _role(p) for p in pattern.panels}
+    panels, openings, roles = pattern.panels, openings_of(pattern), {}
+    for panel in panels:
+        roles[panel.name] = panel.label or role_by_name(panel.name)
     neck, armpit, waist = wearer.nape - UNDER_NAPE, wearer.armpit, wearer.waist
     hips, head = wearer.hips - UNDER_HIPS, float(wearer.body.vertices[:, 1].max())
     collar = _labelled(pattern, EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR)
@@ -151,10 +182,6 @@ def _labelled(pattern: Pattern, *labels: EdgeRole) -> float | None:
         (panel, index) for panel in pattern.panels for index, edge in enumerate(panel.edges) if edge.label in labels
     )
     return max((float(edge_points(panel, index)[:, 1].max()) for panel, index in edges), default=None)
-
-
-def _role(panel: Panel) -> PanelRole | str | None:
-    return panel.label or role_by_name(panel.name)
 
 
 def _has(panel: Panel, words: tuple[str, ...]) -> bool:

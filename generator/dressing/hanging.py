@@ -16,9 +16,8 @@ from jaxtyping import Complex, Float
 
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.dressing.frame import height_for
+from gcd_dataset.generator.dressing.frame import Wearer, height_for, placed_outline
 from gcd_dataset.generator.dressing.openings import edge_points, middle_of, openings_of, panel_outline
-from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern, Placement, Seam
 from gcd_dataset.spec import role_by_name
 
@@ -39,7 +38,11 @@ POSITIONS = {
 
 def label_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
     """The pattern with a label on every panel, and a sentence for each kind of added label."""
-    found = {panel.name: _covered_part(panel, wearer) for panel in pattern.panels if not panel.label}
+    found = {
+        panel.name: PanelRole.ARM if _is_on_arm(panel, wearer) else trunk_part(panel, wearer)
+        for panel in pattern.panels
+        if not panel.label
+    }
     found = _relabel_skirts(found, pattern)
     panels = tuple(replace(panel, label=found.get(panel.name, panel.label)) for panel in pattern.panels)
     return replace(pattern, panels=panels), tuple(describe_labels(found))
@@ -58,14 +61,9 @@ def _relabel_skirts(found: Mapping[str, PanelRole], pattern: Pattern) -> dict[st
         parts |= dict.fromkeys(skirts, PanelRole.LEG)
 
 
-def _covered_part(panel: Panel, wearer: Wearer) -> PanelRole:
-    """The part of the body that a panel covers, by its placement alone, whatever its name."""
-    return PanelRole.ARM if _is_on_arm(panel, wearer) else trunk_part(panel, wearer)
-
-
 def trunk_part(panel: Panel, wearer: Wearer) -> PanelRole:
     """``LEG`` or ``BODY``, for a panel that is on no arm."""
-    heights = panel.placement.apply(panel_outline(panel))[:, 1]
+    heights = placed_outline(panel)[:, 1]
     low, high = heights.min(), heights.max()
     is_band = low > wearer.crotch + (ABOVE_CROTCH if high - low > BAND else -UNDER_CROTCH)
     return PanelRole.BODY if high > wearer.waist + ABOVE_WAIST or is_band else PanelRole.LEG
@@ -114,8 +112,7 @@ class _FlatPanel:
 
     panel: Panel
     back: bool
-    mirrored: bool
-    """Drawn as seen from behind, and so turned over on the table."""
+    mirrored: bool  # drawn as seen from behind, and so turned over on the table
     turn: complex = 1.0
     shift: complex = 0.0
 
@@ -260,11 +257,8 @@ def _hang(table: Mapping[str, _FlatPanel], pattern: Pattern, wearer: Wearer) -> 
             flat_panel = _along_arm(flat_panel, armholes[sleeves[name]], sleeves[name], flat, sleeves, wearer)
         moved[name] = replace(flat_panel, shift=flat_panel.shift + complex(-middle, up))
     hung = placed(moved)
-    return replace(hung, panels=tuple(_labelled(panel, panel.name in sleeves, wearer) for panel in hung.panels))
-
-
-def _labelled(panel: Panel, on_arm: bool, wearer: Wearer) -> Panel:
-    return replace(panel, label=panel.label or (PanelRole.ARM if on_arm else trunk_part(panel, wearer)))
+    labels = (p.label or (PanelRole.ARM if p.name in sleeves else trunk_part(p, wearer)) for p in hung.panels)
+    return replace(hung, panels=tuple(replace(p, label=label) for p, label in zip(hung.panels, labels, strict=True)))
 
 
 def _depths(table: Mapping[str, _FlatPanel]) -> dict[str, float]:
@@ -331,9 +325,7 @@ def _along_arm(
     arm = wearer.limbs.get(BodyPart.LEFT_ARM if side > 0 else BodyPart.RIGHT_ARM)
     if arm is None:
         return flat_panel
-    outlines = np.concatenate(
-        [flat.panel(n).placement.apply(panel_outline(flat.panel(n))) for n, s in sleeves.items() if s == side]
-    )
+    outlines = np.concatenate([placed_outline(flat.panel(name)) for name, other in sleeves.items() if other == side])
     direction = complex(*(outlines.mean(axis=0) - armhole)[:2])
     if direction == 0:  # skirt panels mistaken for sleeves may be centred on the seam: there is no direction
         return flat_panel

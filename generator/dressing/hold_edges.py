@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.generator.dressing.frame import placed_outline
+from gcd_dataset.generator.dressing.frame import Wearer, placed_outline
 from gcd_dataset.generator.dressing.openings import ASIDE, Opening, edge_points, openings_of
-from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, EdgeRef, EdgeRole, Panel, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
 
@@ -28,11 +27,18 @@ def label_edges(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, .
     """
     labels = {edge.label for panel in pattern.panels for edge in panel.edges}
     openings = openings_of(pattern)
-    if _hangs_from_shoulders(pattern, openings, wearer):
+    # Arms go through a garment with sleeves, or with an opening beside the trunk above the waist.
+    aside = any(abs(o.centre[0]) > ASIDE and o.low[1] > wearer.waist for o in openings)
+    if aside or any(panel.label == PanelRole.ARM for panel in pattern.panels):
         if labels & set(COLLARS):
             return pattern, ()
         found = _collars(pattern, openings, wearer)
-        return _labelled(pattern, found), tuple(_collar_sentences(found))
+        named = {label: [ref for ref, given in found.items() if given == label] for label in COLLARS}
+        return _labelled(pattern, found), tuple(
+            f"{_named(refs)} labelled {label}: arms go through the garment, and these edges lie round the neck"
+            for label, refs in named.items()
+            if refs
+        )
     if labels & HOLDING:
         return pattern, ()
     top = next((o for o in openings if abs(o.centre[0]) < ASIDE and _is_round_trunk(o, wearer)), None)
@@ -50,13 +56,6 @@ def label_edges(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, .
     )
 
 
-def _hangs_from_shoulders(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) -> bool:
-    """Whether arms go through the garment: it has sleeves, or an opening beside the trunk above the waist."""
-    if any(panel.label == PanelRole.ARM for panel in pattern.panels):
-        return True
-    return any(abs(o.centre[0]) > ASIDE and o.low[1] > wearer.waist for o in openings)
-
-
 def has_legs(pattern: Pattern) -> bool:
     """Whether the garment has two legs, so that it must be draped on a body with its legs apart.
 
@@ -71,9 +70,6 @@ def has_legs(pattern: Pattern) -> bool:
     return len(middle) == 1 and {bool(o.centre[0] > 0) for o in low} == {True, False}
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 def _is_round_trunk(opening: Opening, wearer: Wearer) -> bool:
     wide = opening.low[0] < 0 < opening.high[0]
     deep = opening.high[2] - opening.low[2] > wearer.limbs[BodyPart.TRUNK].deep
@@ -82,7 +78,8 @@ def _is_round_trunk(opening: Opening, wearer: Wearer) -> bool:
 
 def _collars(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) -> dict[EdgeRef, EdgeRole]:
     """The edges of the neckline with their collar labels; edges across the middle get none."""
-    necks = {panel.name for panel in pattern.panels if _is_over_neck(panel, wearer)}
+    # Hoods and collars: most of them lies above the nape.
+    necks = {panel.name for panel in pattern.panels if np.median(placed_outline(panel)[:, 1]) > wearer.nape}
     sewn = {side: other for s in pattern.seams for side, other in ((s.left, s.right), (s.right, s.left))}
     ends = [ref for ref, other in sewn.items() if ref.panel not in necks and other.panel in necks]
     for opening in openings:
@@ -105,11 +102,6 @@ def _side(x: Float[np.ndarray, " n"]) -> float:
     return float(np.sign(middle)) if abs(middle) > ONE_SIDE * float(np.ptp(x)) else 0.0
 
 
-def _is_over_neck(panel: Panel, wearer: Wearer) -> bool:
-    """Whether a panel is a hood or a collar: most of it lies above the nape."""
-    return bool(np.median(placed_outline(panel)[:, 1]) > wearer.nape)
-
-
 def _labelled(pattern: Pattern, found: dict[EdgeRef, EdgeRole]) -> Pattern:
     def labelled(panel: Panel) -> Panel:
         edges = tuple(
@@ -119,13 +111,6 @@ def _labelled(pattern: Pattern, found: dict[EdgeRef, EdgeRole]) -> Pattern:
         return replace(panel, edges=edges)
 
     return replace(pattern, panels=tuple(map(labelled, pattern.panels)))
-
-
-def _collar_sentences(found: dict[EdgeRef, EdgeRole]) -> Iterable[str]:
-    for label in COLLARS:
-        refs = [ref for ref, given in found.items() if given == label]
-        if refs:
-            yield f"{_named(refs)} labelled {label}: arms go through the garment, and these edges lie round the neck"
 
 
 def _named(refs: Iterable[EdgeRef]) -> str:

@@ -50,9 +50,9 @@ def middle_of(openings: Sequence[Opening]) -> float:
     return float(tried[int(np.argmin(uneven))])
 
 
-def edge_points(panel: Panel, index: int, points: int = POINTS) -> Float[np.ndarray, "n 3"]:
+def edge_points(panel: Panel, index: int) -> Float[np.ndarray, "n 3"]:
     """Points along an edge from start to end, in space [cm]."""
-    return panel.placement.apply(sample_curve(*panel.edge_ends(index), panel.edges[index].curve, points))
+    return panel.placement.apply(sample_curve(*panel.edge_ends(index), panel.edges[index].curve, POINTS))
 
 
 def panel_outline(panel: Panel) -> Float[np.ndarray, "n 2"]:

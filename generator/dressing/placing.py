@@ -11,10 +11,9 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.body.limbs import Limb
-from gcd_dataset.generator.dressing.frame import in_body_frame, moved, placed_outline
+from gcd_dataset.generator.dressing.frame import Wearer, in_body_frame, moved, placed_outline
 from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan
 from gcd_dataset.generator.dressing.openings import edge_points, panel_outline
-from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import Body, BodyPart, Panel, PanelRole, Pattern, Placement
 
 SKIN = 0.5  # cm: a point nearer than this to a face centre counts as inside
@@ -59,10 +58,8 @@ class _Sleeve(NamedTuple):
     """The panels of one sleeve."""
 
     panels: Sequence[Panel]
-    armhole: Float[np.ndarray, "3"]
-    """Middle of the edges sewn to the bodice [cm]."""
-    direction: Float[np.ndarray, "3"]
-    """Unit vector from the armhole down the sleeve."""
+    armhole: Float[np.ndarray, "3"]  # middle of the edges sewn to the bodice [cm]
+    direction: Float[np.ndarray, "3"]  # unit vector from the armhole down the sleeve
 
     @classmethod
     def of(cls, pattern: Pattern, side: float) -> Self | None:
@@ -80,7 +77,12 @@ class _Sleeve(NamedTuple):
         turn = Rotation.align_vectors([arm.axis], [self.direction])[0]
         aside = arm.origin - self.armhole
         aside -= (aside @ arm.axis) * arm.axis
-        return [_turned(panel, turn, self.armhole, aside) for panel in self.panels]
+        panels = []
+        for panel in self.panels:
+            angles = Rotation.from_matrix(turn.as_matrix() @ panel.placement.matrix).as_euler("xyz")
+            translation = turn.apply(panel.placement.translation - self.armhole) + self.armhole + aside
+            panels.append(replace(panel, placement=Placement(translation, angles)))
+        return panels
 
 
 def _armhole(pattern: Pattern, sleeve: Sequence[Panel]) -> Float[np.ndarray, "3"] | None:
@@ -95,15 +97,7 @@ def _armhole(pattern: Pattern, sleeve: Sequence[Panel]) -> Float[np.ndarray, "3"
 
 
 def _middle(panel: Panel) -> Float[np.ndarray, "3"]:
-    return panel.placement.apply(panel_outline(panel)).mean(axis=0)
-
-
-def _turned(panel: Panel, turn: Rotation, about: np.ndarray, by: np.ndarray) -> Panel:
-    """The panel turned about a point, then moved."""
-    matrix = turn.as_matrix() @ panel.placement.matrix
-    angles = Rotation.from_matrix(matrix).as_euler("xyz")
-    translation = turn.apply(panel.placement.translation - about) + about + by
-    return replace(panel, placement=Placement(translation, angles))
+    return placed_outline(panel).mean(axis=0)
 
 
 LEVEL = 1.0  # cm: largest distance of panels from the plane in which they lie

@@ -19,9 +19,8 @@ from scipy.spatial import ConvexHull
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
-from gcd_dataset.generator.dressing.rolled_sleeve import roll_round_limb
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
-from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
+from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb, roll_round_limb
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, PanelRole
 from gcd_dataset.spec import is_trouser_leg
 
@@ -58,27 +57,17 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
         skirt.place_on_cone(limbs[BodyPart.TRUNK], placed)
     elif skirts.any():
         _end_above_feet(np.unique(mesh.faces[skirts[mesh.panel_id]]), body, placed)
-    if bodice:
-        for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
-            if part in limbs:
-                _fit_between_arms(mesh, roles, limbs[part], side, placed)
-    if sleeves:
-        for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
-            if part in limbs:
-                _put_on_arm(mesh, roles, limbs[part], side, placed)
-    if trousers.any():
-        for part, side in ((BodyPart.LEFT_LEG, 1.0), (BodyPart.RIGHT_LEG, -1.0)):
-            leg = leg_of(body, part)
-            if leg is not None:
-                _put_on_leg(mesh, trousers, leg, side, placed)
+    arms = [(limbs[p], side) for p, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)) if p in limbs]
+    for arm, side in arms if bodice else ():
+        _fit_between_arms(mesh, roles, arm, side, placed)
+    for arm, side in arms if sleeves else ():
+        sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0.0)
+        if not roll_round_limb(mesh, sleeve, arm, placed):
+            put_on_limb(mesh, sleeve, arm, placed)
+    for part, side in ((BodyPart.LEFT_LEG, 1.0), (BodyPart.RIGHT_LEG, -1.0)) if trousers.any() else ():
+        if (leg := leg_of(body, part)) is not None:
+            _put_on_leg(mesh, trousers, leg, side, placed)
     return placed
-
-
-def _put_on_arm(mesh: BoxMesh, roles: np.ndarray, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]) -> None:
-    """Put the sleeves of one side on the arm, in ``placed``; ``side``: 1 for the left side, -1 for the right."""
-    sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0.0)
-    if not roll_round_limb(mesh, sleeve, arm, placed):
-        put_on_limb(mesh, sleeve, arm, placed)
 
 
 def _put_on_leg(
@@ -131,8 +120,12 @@ def _end_above_feet(rows: Int[np.ndarray, " n"], body: Body, placed: Float[np.nd
     x, height = placed[rows, 0], placed[rows, 1]
     top, hem = float(height.max()), float(height.min())
     below = x[height < ankle]
-    if top <= ankle or not len(below) or _is_sewn_round(below, both[both[:, 1] < ankle]):
+    if top <= ankle or not len(below):
         return
+    feet = both[both[:, 1] < ankle]
+    around = below.min() < feet[:, 0].min() - SKIRT_GAP and below.max() > feet[:, 0].max() + SKIRT_GAP
+    if around and 2.0 * np.ptp(below) >= FEET_ROOM * ConvexHull(feet[:, [0, 2]]).area:
+        return  # it surrounds the feet, with room to spare
     middle = 0.5 * float(both[:, 0].min() + both[:, 0].max())
     at_top = x[height > top - SLICE]
     aside = x - 0.5 * float(at_top.min() + at_top.max())
@@ -154,12 +147,6 @@ def _ankle_height(legs: Float[np.ndarray, "n 3"], body: Body) -> float:
     low = [number for number in np.unique(slices) if (number + 1) * SLICE < ANKLES_BELOW * (top - floor)]
     depths = [np.ptp(legs[slices == number, 2]) for number in low]
     return floor + (low[int(np.argmin(depths))] + 1) * SLICE if low else floor
-
-
-def _is_sewn_round(hem: Float[np.ndarray, " n"], feet: Float[np.ndarray, "m 3"]) -> bool:
-    """Whether flat cloth with its vertices at x ``hem`` [cm] surrounds the feet, with room to spare."""
-    around = hem.min() < feet[:, 0].min() - SKIRT_GAP and hem.max() > feet[:, 0].max() + SKIRT_GAP
-    return bool(around and 2.0 * np.ptp(hem) >= FEET_ROOM * ConvexHull(feet[:, [0, 2]]).area)
 
 
 def _fit_between_arms(

@@ -91,9 +91,15 @@ class Skirt:
         length = float(np.percentile(down, 95))
         if length <= 0.0:
             return
-        turn = self._turns()[rows]
+        # The angle of each vertex from the middle of front or back: π/2 on the left side seam, -π/2 on the right,
+        # harmonic in the flat cloth between them.
+        turn = self.cloth.harmonic(self.side, 0.5 * np.pi * self._aside)[rows]
         trunk = trunk.section(self._level - HIPS, self._level + CLEARANCE)
-        sine = self._sine(length)
+        # The mean girth of a skirt is its area over its length; from top to hem the girth grows by twice the difference
+        # of mean girth and top girth.
+        ends, flat = self.cloth.edges
+        growth = 2.0 * (self.cloth.area / length - float(flat[np.isin(ends, self.top).all(axis=1)].sum()))
+        sine = float(np.clip(growth / (2.0 * np.pi * length), *SINES))  # of the angle between cone and axis
         out = CLEARANCE + sine * down + WAVE * np.sin(WAVES * turn) * np.minimum(down / HIPS, 1.0)
         placed[rows, 0] = trunk.origin[0] + (trunk.wide + out) * np.sin(turn)
         placed[rows, 1] = self._level - np.sqrt(1.0 - sine**2) * down
@@ -125,21 +131,3 @@ class Skirt:
             if len(seams) > 1:
                 middle[seams] = x[seams].mean()
         return np.sign(x - middle)[seam]
-
-    def _turns(self) -> Float[np.ndarray, " v"]:
-        """(v) angle of each vertex from the middle of the front or back [rad].
-
-        π/2 on the left side seam, -π/2 on the right; harmonic in the flat cloth between the side seams.
-        """
-        return self.cloth.harmonic(self.side, 0.5 * np.pi * self._aside)
-
-    def _sine(self, length: float) -> float:
-        """Sine of the angle between cone and axis, for a skirt of the given length [cm].
-
-        The mean girth of a skirt is its area over its length; from top to hem the girth grows by twice the difference
-        of mean girth and top girth.
-        """
-        ends, flat = self.cloth.edges
-        on_top = np.isin(ends, self.top).all(axis=1)
-        growth = 2.0 * (self.cloth.area / length - float(flat[on_top].sum()))
-        return float(np.clip(growth / (2.0 * np.pi * length), *SINES))

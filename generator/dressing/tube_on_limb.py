@@ -1,4 +1,8 @@
-"""A sleeve round an arm or a trouser leg round a leg, as the start of sewing."""
+"""A sleeve round an arm or a trouser leg round a leg, as the start of sewing.
+
+Box meshes put the vertices of a seam at the midpoint of the points that it joins. A sleeve of one panel, its two long
+edges sewn to each other, would begin folded flat, with the limb on one side of it: it is rolled round the limb.
+"""
 
 from dataclasses import dataclass
 
@@ -55,17 +59,14 @@ class _Tube:
     """The vertices of a sleeve or trouser leg, at the positions in the box mesh."""
 
     rows: Int[np.ndarray, " n"]
-    points: Float[np.ndarray, "n 3"]
-    """Positions [cm]."""
+    points: Float[np.ndarray, "n 3"]  # positions [cm]
     distance: Float[np.ndarray, " n"]
     """Distance from the root [cm], averaged over each level set of a harmonic function, such as the open end."""
     piece: Int[np.ndarray, " n"]
     """Number of the piece of each vertex, from the root: sleeve, cuff, cuff's skirt; on their seam the piece nearer to
     the root."""
-    section: float
-    """Length of a cross section along the tube [cm]."""
-    frame: Float[np.ndarray, "3 3"]
-    """Unit vectors across the tube, along it away from the root, and to the front."""
+    section: float  # length of a cross section along the tube [cm]
+    frame: Float[np.ndarray, "3 3"]  # unit vectors across the tube, along it away from the root, and to the front
 
     @staticmethod
     def of(mesh: BoxMesh, own: Bool[np.ndarray, " f"]) -> "_Tube | None":
@@ -181,3 +182,109 @@ def _averaged(level: Float[np.ndarray, " n"], distance: Float[np.ndarray, " n"])
     count = np.bincount(ring, minlength=RINGS + 1)
     mean = np.bincount(ring, distance, minlength=RINGS + 1)[count > 0] / count[count > 0]
     return np.interp(level * RINGS, np.flatnonzero(count), np.maximum.accumulate(mean))
+
+
+ROLL_SECTION = 2.0  # cm, length of a cross section
+
+
+def roll_round_limb(mesh: BoxMesh, tube: Bool[np.ndarray, " f"], limb: Limb, placed: Float[np.ndarray, "v 3"]) -> bool:
+    """Roll a panel that is sewn to itself round a limb, in ``placed``; returns whether the tube is such a panel.
+
+    ``tube`` marks the faces of a sleeve or a trouser leg. The panel's middle stays on the side of the limb on which it
+    hangs, and its seam comes to the opposite side. A cross section becomes a circle of its own girth about the limb's
+    axis, larger where the limb is wider.
+    """
+    panel = _Panel.of(mesh, tube)
+    if panel is None:
+        return False
+    placed[panel.vertex] = panel.rolled(mesh, limb)
+    return True
+
+
+@dataclass(frozen=True, eq=False)
+class _Panel:
+    """A panel sewn to itself; rows are its seam-split vertices."""
+
+    vertex: Int[np.ndarray, " n"]  # vertex of the box mesh of each row
+    around: Float[np.ndarray, " n"]
+    """-1 on the left edge of the panel's own seam, 1 on the right edge, harmonic between them."""
+    distance: Float[np.ndarray, " n"]  # distance from the panel's root along its axis [cm]
+    across: Float[np.ndarray, " n"]  # flat coordinate at right angles to its axis [cm]
+    right: Float[np.ndarray, "2"]  # unit vector of ``across`` in the panel's plane
+
+    @staticmethod
+    def of(mesh: BoxMesh, tube: Bool[np.ndarray, " f"]) -> "_Panel | None":
+        """The panel of the marked faces; ``None`` for several panels, or one that is not sewn to itself."""
+        numbers = np.unique(mesh.panel_id[tube])
+        if len(numbers) != 1:
+            return None
+        rows = np.unique(mesh.corners[tube])
+        vertex, uv = mesh.uv_vertex[rows], mesh.uv[rows]
+        root = np.isin(vertex, mesh.faces[~tube])
+        _, inverse, count = np.unique(vertex, return_inverse=True, return_counts=True)
+        own_seam = (count[inverse] > 1) & ~root
+        if not own_seam.any() or not root.any():
+            return None
+        middle = uv[own_seam].mean(axis=0)
+        axis = middle - uv[root].mean(axis=0)
+        axis /= max(float(np.linalg.norm(axis)), 1e-9)
+        right = np.array([-axis[1], axis[0]])  # the axis runs down a panel that hangs upright
+        across = (uv - middle) @ right
+        ends = np.flatnonzero(own_seam)
+        around = FlatCloth.of_panel(mesh, tube).harmonic(rows[ends], np.sign(across[ends]))[rows]
+        along = (uv - uv[root].mean(axis=0)) @ axis
+        return _Panel(vertex, around, np.maximum(along, 0.0), across, right)
+
+    def rolled(self, mesh: BoxMesh, limb: Limb) -> Float[np.ndarray, "n 3"]:
+        """The positions of the rows round a limb [cm]."""
+        points = np.array(mesh.vertices[self.vertex], float)
+        normal, sideways = self._directions(points, limb.axis)
+        near = self.distance < ROLL_SECTION
+        root = float(((points[near] - limb.origin) @ limb.axis).mean()) if near.any() else 0.0
+        room = float(((limb.skin - limb.origin) @ limb.axis).max()) - BEFORE_END - root
+        shrink = np.clip(room / max(float(self.distance.max()), ROLL_SECTION), LEAST_LENGTH, 1.0)
+        radius, angle = self._radii(limb, normal, sideways, root, shrink), np.pi * self.around
+        round_limb = (
+            limb.origin
+            + (root + shrink * self.distance)[:, None] * limb.axis
+            + (radius * np.cos(angle))[:, None] * normal
+            + (radius * np.sin(angle))[:, None] * sideways
+        )
+        share = np.minimum(self.distance / ROOT, 1.0)[:, None]
+        return points + share * (round_limb - points)
+
+    def _directions(
+        self, points: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Unit vectors at right angles to the limb: to the panel's right in space, and out of its right side."""
+        inner = np.abs(self.around) < 0.9
+        centred = self.across[inner] - self.across[inner].mean()
+        sideways = centred @ (points[inner] - points[inner].mean(axis=0))
+        sideways -= (sideways @ axis) * axis
+        sideways /= max(float(np.linalg.norm(sideways)), 1e-9)
+        return np.cross(axis, sideways), sideways
+
+    def _radii(
+        self,
+        limb: Limb,
+        normal: Float[np.ndarray, "3"],
+        sideways: Float[np.ndarray, "3"],
+        root: float,
+        shrink: float,
+    ) -> Float[np.ndarray, " n"]:
+        """Radius of the cross section of each row [cm]; ``root``: position of the panel's root along the limb."""
+        skin = limb.skin - limb.origin
+        reach = np.hypot(skin @ normal, skin @ sideways)
+        number = np.floor(self.distance / ROLL_SECTION).astype(int)
+        skin_number = np.floor((skin @ limb.axis - root) / shrink / ROLL_SECTION).astype(int)
+        middles, radii = [0.0], [0.0]
+        for section in np.unique(number):
+            own = number == section
+            centred = self.around[own] - self.around[own].mean()
+            slope = float(centred @ self.across[own] / max(float(centred @ centred), 1e-9))  # of the regression line
+            girth = slope * 2.0  # ``around`` increases by 2 over the girth
+            limbs_own = reach[np.abs(skin_number - section) <= 1].max(initial=0.0)
+            middles.append((section + 0.5) * ROLL_SECTION)
+            radii.append(max(girth / (2.0 * np.pi), limbs_own + GAP))
+        radii[0] = radii[1]
+        return np.interp(self.distance, middles, radii)

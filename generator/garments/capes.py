@@ -16,7 +16,7 @@ from math import cos, pi, sin, tan
 
 from gcd_dataset.curves import Arc, Point, Quadratic, to_frame
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Tag, Words
+from gcd_dataset.generator.garments.description import Description, Detail, Tag, Words, Zone
 from gcd_dataset.generator.garments.garment import SimpleUpper
 from gcd_dataset.generator.garments.neckline import Neckline, NecklineDesign, neckline_shape
 from gcd_dataset.generator.garments.space import Design, choice, real
@@ -139,13 +139,9 @@ def _to_hem(size: Measurements, design: CapeDesign, hole: NeckHole) -> Outline:
     """An open half outline: from the right side of the neck down the shoulder, and along the hem to the middle."""
     low, fall = hole.back + design.length * size.waist_line, 0.5 * pi * (1 - design.circle)
     drawn = with_shoulder(Outline.start(-hole.half_width, 0), size, fall=fall, length=low)
-    return drawn.curve(0, -low, _level_arc(drawn.pen, low), name="hem")
-
-
-def _level_arc(side: Point, low: float) -> Arc:
-    """The hem from the side seam to the middle, ``low`` cm under the origin, where it is level."""
-    wide, deep = -side[0], low + side[1]
-    return Arc((wide**2 + deep**2) / (2 * deep), large=False, right=True)
+    wide, deep = -drawn.pen[0], low + drawn.pen[1]
+    arc = Arc((wide**2 + deep**2) / (2 * deep), large=False, right=True)  # level in the middle
+    return drawn.curve(0, -low, arc, name="hem")
 
 
 def _describe_cape(design: CapeDesign) -> Description:
@@ -156,7 +152,7 @@ def _describe_cape(design: CapeDesign) -> Description:
         front = ("a front that is open below the neck", "a front opening")
     else:
         front = ("a front that is open towards the hem",)
-    return Description((noun,), (), (Detail(Place.BODY, front, main=True),), tags=(Tag.CAPE, Tag.SLEEVELESS))
+    return Description((noun,), (), (Detail(Zone.BODY, front, main=True),), tags=(Tag.CAPE, Tag.SLEEVELESS))
 
 
 CAPE = SimpleUpper(
@@ -224,7 +220,7 @@ def _right_half(size: Measurements, design: PonchoDesign, hole: NeckHole) -> Out
 def _describe_poncho(design: PonchoDesign) -> Description:
     shape = "round" if design.shape is PonchoShape.CIRCLE else "rectangular"
     neck = "a V-neckline" if design.neckline is Neckline.V else "a round neckline"
-    detail = Detail(Place.NECK, (neck,), main=True)
+    detail = Detail(Zone.NECK, (neck,), main=True)
     return Description((f"{shape} poncho",), (), (detail,), tags=(Tag.PONCHO, Tag.SLEEVELESS))
 
 

@@ -6,8 +6,8 @@ from math import atan, atan2, cos, degrees, hypot, pi, sin, sqrt, tan
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, Tag, number_word
-from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
+from gcd_dataset.generator.garments.description import Description, Detail, Setting, Tag, Zone, number_word
+from gcd_dataset.generator.garments.garment import BottomGarment, Cutting
 from gcd_dataset.generator.garments.skirt import (
     SHORTEST,
     across,
@@ -127,7 +127,11 @@ def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, leng
     front = replace(front, name=f"skirt_front{suffix}").at(0, size.waist_level, FRONT)
     back = replace(back, name=f"skirt_back{suffix}").at(0, size.waist_level, BACK)
     if cut.add:
-        front, back = _with_hem_cut(front, back, cut, length)
+        shape = notch(cut.width * length, cut.depth * length, name="hem_cut")
+        if cut.place > 0:
+            front = _with_cut(front, shape, cut.width * length, cut.place)
+        else:
+            back = _with_cut(back, shape, cut.width * length, 1 + cut.place)
     return (
         Component.of(front, back)
         .sewn(front.along("right"), back.along("right"))
@@ -165,16 +169,11 @@ def _require_uncut_waist(piece: Piece, hole: float) -> None:
             )
 
 
-def _with_hem_cut(front: Piece, back: Piece, cut: HemCutDesign, length: float) -> tuple[Piece, Piece]:
-    """Front and back with the cut in one of them, moved inwards if it would run over the end of the hem."""
-    shape = notch(cut.width * length, cut.depth * length, name="hem_cut")
-    if cut.place > 0:
-        return _with_cut(front, shape, cut.width * length, cut.place), back
-    return front, _with_cut(back, shape, cut.width * length, 1 + cut.place)
-
-
 def _with_cut(piece: Piece, shape: tuple[Stroke, ...], width: float, share: float) -> Piece:
-    """The piece with a shape cut into its hem, centred at a share of the hem's length from the wearer's right."""
+    """The piece with a shape cut into its hem, centred at a share of the hem from the wearer's right.
+
+    A cut that would run over the end of the hem is moved inwards.
+    """
     hem = piece.outline.length("bottom")
     at, least = share * hem, 0.5 * width + LEAST_HEM * hem
     if at < least:
@@ -184,21 +183,17 @@ def _with_cut(piece: Piece, shape: tuple[Stroke, ...], width: float, share: floa
     return replace(piece, outline=cut_into(piece.outline, "bottom", shape, at=at))
 
 
-def _uncut(design: FlareSkirtDesign) -> FlareSkirtDesign:
-    return replace(design, cut=replace(design.cut, add=False))
-
-
 def _describe_circle(setting: Setting, design: FlareSkirtDesign) -> Description:
     cut = _cut_details(setting, design)
-    return Description(flare_nouns(design), (), cut, tags=(flare_tag(design), *_cut_tags(cut)))
+    return Description(flare_nouns(design), (), cut, tags=(flare_tag(design), *([Tag.SLIT] if cut else [])))
 
 
 def _describe_asymmetric(setting: Setting, design: FlareSkirtDesign) -> Description:
     nouns = ("off-centre circle skirt", "circle skirt cut off centre")
     hem = ("a hem that is longer behind than in front", "a high-low hem")
     cut = _cut_details(setting, design)
-    tags = (Tag.CIRCLE, Tag.ASYMMETRIC, *_cut_tags(cut))
-    return Description(nouns, (), (Detail(Place.HEM, hem, main=True), *cut), tags=tags)
+    tags = (Tag.CIRCLE, Tag.ASYMMETRIC, *([Tag.SLIT] if cut else []))
+    return Description(nouns, (), (Detail(Zone.HEM, hem, main=True), *cut), tags=tags)
 
 
 def _cut_details(setting: Setting, design: FlareSkirtDesign) -> tuple[Detail, ...]:
@@ -212,37 +207,30 @@ def _cut_details(setting: Setting, design: FlareSkirtDesign) -> tuple[Detail, ..
     deep = "deep " if design.cut.depth > 0.5 else ""
     at = f"in the middle of the {where} hem" if side == "middle" else f"on the {side} of the {where} hem"
     words = (f"a {deep}triangular notch {at}", f"a {deep}V-shaped cut {at}")
-    return (Detail(Place.HEM, words, main=True, sided=side != "middle"),)
+    return (Detail(Zone.HEM, words, main=True, sided=side != "middle"),)
 
 
-def _cut_tags(cut: tuple[Detail, ...]) -> tuple[Tag, ...]:
-    return (Tag.SLIT,) if cut else ()
-
-
-CIRCLE_SKIRT = SimpleBottom(
+CIRCLE_SKIRT = BottomGarment(
     name="SkirtCircle",
     section="flare-skirt",
     design=FlareSkirtDesign,
     cut=circle_skirt,
     length_of=flare_skirt_length,
     description_of=_describe_circle,
-    without_slits=_uncut,
+    without_slits=lambda design: replace(design, cut=replace(design.cut, add=False)),
     flared=True,
     fullness_parameter="suns",
     always_sewable=lambda design: not design.cut.add,
     remedies=CUT_REMEDIES,
 )
 
-ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
+ASYMMETRIC_CIRCLE_SKIRT = replace(
+    CIRCLE_SKIRT,
     name="AsymmSkirtCircle",
-    section="flare-skirt",
-    design=FlareSkirtDesign,
     cut=asymmetric_circle_skirt,
-    length_of=flare_skirt_length,
     description_of=_describe_asymmetric,
-    without_slits=_uncut,
-    flared=True,
-    remedies=CUT_REMEDIES,
+    fullness_parameter="",
+    always_sewable=lambda design: False,
 )
 
 
@@ -299,15 +287,15 @@ def _placed_in_ring(panel: Piece, index: int, count: int) -> Piece:
 def _describe_panels(setting: Setting, design: FlareSkirtDesign) -> Description:
     count, curve = number_word(design.skirt_many_panels.n_panels), design.skirt_many_panels.panel_curve
     (noun,) = flare_nouns(design)
-    details = [Detail(Place.LOWER, ("seams from top to hem between the panels",))]
+    details = [Detail(Zone.LOWER, ("seams from top to hem between the panels",))]
     if curve:
         words = ("a scalloped hem",) if curve > 0 else ("a hem arched upwards on each panel",)
-        details.append(Detail(Place.HEM, words, main=True))
+        details.append(Detail(Zone.HEM, words, main=True))
     nouns = (f"{count}-panel {noun}", f"{noun} of {count} panels")
     return Description(nouns, (), tuple(details), tags=(Tag.PANELLED, flare_tag(design)))
 
 
-PANEL_SKIRT = SimpleBottom(
+PANEL_SKIRT = BottomGarment(
     name="SkirtManyPanels",
     section="flare-skirt",
     design=FlareSkirtDesign,

@@ -1,6 +1,6 @@
 """Collars, sewn to a neckline: turtleneck, lapel, hood."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from math import atan2, hypot, pi, sin
@@ -133,7 +133,15 @@ def with_collar(size: Measurements, design: CollarDesign, half: Component) -> Co
 
     Appends the centre edges of the collar to the interfaces ``front_centre`` and ``back_centre``.
     """
-    return half if design.style is None else COLLARS[design.style](size, design, half)
+    match design.style:
+        case None:
+            return half
+        case Collar.TURTLENECK:
+            return turtleneck(size, design, half)
+        case Collar.LAPEL:
+            return lapel(size, design, half)
+        case Collar.HOOD:
+            return with_hood(size, half, depth=design.hood_depth, length=design.hood_length)
 
 
 def turtleneck(size: Measurements, design: CollarDesign, half: Component) -> Component:
@@ -209,16 +217,3 @@ def _neck_lengths(half: Component) -> tuple[float, float]:
     """Lengths of half a neckline, in front and behind [cm]."""
     front, back = (half.piece(name).outline.length("neck") for name in ("right_ftorso", "right_btorso"))
     return front, back
-
-
-def hood(size: Measurements, design: CollarDesign, half: Component) -> Component:
-    """The half with half a hood."""
-    return with_hood(size, half, depth=design.hood_depth, length=design.hood_length)
-
-
-COLLARS: Mapping[Collar, Callable[[Measurements, CollarDesign, Component], Component]] = {
-    Collar.TURTLENECK: turtleneck,
-    Collar.LAPEL: lapel,
-    Collar.HOOD: hood,
-}
-"""Functions that sew a collar to the right half of an upper body."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from math import pi
-from typing import Protocol, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,8 +16,11 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.description import RUFFLES, CuffGathers
 from gcd_dataset.generator.garments.skirt import band, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
-from gcd_dataset.generator.pattern import Component, Interface, Piece
+from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements, PanelRole
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.garments.sleeve import SleeveDesign
 
 LONGEST_ON_SLEEVE = 0.7  # longest cuff, as a share of the sleeve, GarmentCode
 SHORTEST = 0.1  # cm: the shortest cuff
@@ -43,7 +46,7 @@ class SleeveCuffDesign(Design):
 
     type: Cuff | None = choice(None, *Cuff, None)
     top_ruffle: float = real(1.0, 1.0, 3.0)
-    """Gathers at the sleeve's end: ratio of the sleeve's girth to the cuff's."""
+    """Gathers at the limb's end: ratio of the sleeve's or leg's girth to the cuff's."""
     cuff_len: float = real(0.1, 0.05, 0.9, keep=0.7)
     """Length, as a fraction of the arm."""
     skirt_fraction: float = real(0.5, 0.1, 0.9, keep=0.5)
@@ -55,23 +58,15 @@ class SleeveCuffDesign(Design):
 
 
 @dataclass(frozen=True)
-class PantsCuffDesign(Design):
+class PantsCuffDesign(SleeveCuffDesign):
     """The cuff of a trouser leg, or none."""
 
     type: Cuff | None = choice(None, *Cuff, None, keep=0.5)
     top_ruffle: float = real(1.0, 1.0, 2.0)
-    """Gathers at the leg's end: ratio of the leg's girth to the cuff's."""
     cuff_len: float = real(0.1, 0.05, 0.9, keep=0.3)
     """Length, as a fraction of hips to floor; taken off the leg."""
     skirt_fraction: float = real(0.5, 0.1, 0.9)
-    """The skirt's share of a band with a skirt."""
-    skirt_flare: float = real(1.2, 1.0, 2.0)
-    """Hem of the skirt, as a fraction of its top without gathers."""
     skirt_ruffle: float = real(1.0, 1.0, 1.5)
-    """Gathers at the top of the skirt."""
-
-
-CuffDesign: TypeAlias = SleeveCuffDesign | PantsCuffDesign
 
 
 def cuff_words(kind: Cuff, length: float, gathers: CuffGathers, *, limb: str) -> tuple[str, ...]:
@@ -96,12 +91,12 @@ def single_cuff_words(kind: Cuff, length: float, gathers: CuffGathers) -> str:
     return f"a {deep}{noun}"
 
 
-def skirt_share(design: CuffDesign) -> float:
+def skirt_share(design: SleeveCuffDesign) -> float:
     """The skirt's share of a cuff's length: the limb does not fill this part; 1 without a cuff."""
     return {Cuff.BAND: 0.0, Cuff.BAND_SKIRT: design.skirt_fraction, Cuff.SKIRT: 1.0, None: 1.0}[design.type]
 
 
-def arm_girth_in_end(size: Measurements, design: "CuffedSleeve") -> float:
+def arm_girth_in_end(size: Measurements, design: "SleeveDesign") -> float:
     """Largest girth of the arm in a sleeve's end: its cuff's band, the top of its skirt, or the hem [cm]."""
     skirt = skirt_share(design.cuff)
     end = ON_SHOULDER + (1 - ON_SHOULDER) * design.length
@@ -110,26 +105,14 @@ def arm_girth_in_end(size: Measurements, design: "CuffedSleeve") -> float:
     return float(np.interp(levels, ARM_LEVELS, ARM_GIRTHS).max()) * size.wrist
 
 
-class CuffedSleeve(Protocol):
-    """The fields of a sleeve's design that determine its cuff."""
-
-    @property
-    def length(self) -> float:
-        """Length, as a fraction of armhole to wrist."""
-
-    @property
-    def cuff(self) -> SleeveCuffDesign:
-        """The design of the sleeve's cuff."""
-
-
-def sleeve_cuff_length(size: Measurements, design: CuffedSleeve) -> float:
+def sleeve_cuff_length(size: Measurements, design: "SleeveDesign") -> float:
     """Length by which the cuff shortens its sleeve [cm]; 0 without a cuff."""
     if design.cuff.type is None:
         return 0.0
     return min(design.cuff.cuff_len, LONGEST_ON_SLEEVE * design.length) * size.arm_length
 
 
-def with_sleeve_cuff(size: Measurements, design: CuffedSleeve, sleeve: Component) -> Component:
+def with_sleeve_cuff(size: Measurements, design: "SleeveDesign", sleeve: Component) -> Component:
     """The right sleeve along the x axis, wrist to the left, with its cuff, at least as wide as the wrist.
 
     Offers ``opening`` like the sleeve, and the shorter side of the seam between sleeve and cuff as the ring ``band``.
@@ -142,15 +125,13 @@ def with_sleeve_cuff(size: Measurements, design: CuffedSleeve, sleeve: Component
     )
     placed = drawn.turned(-pi / 2).placed_by("top", sleeve, "end", gap=GAP, top=True)
     sewn = Component.of(sleeve, placed).sewn(sleeve.interface("end"), placed.interface("top"), gathered=True)
-    band = min(sleeve.interface("end"), placed.interface("top"), key=lambda ring: _length(sewn, ring))
+    band = min(
+        sleeve.interface("end"), placed.interface("top"), key=lambda ring: sewn.offering(ring=ring).length("ring")
+    )
     return sewn.offering(opening=sleeve.interface("opening"), band=band)
 
 
-def _length(component: Component, ring: Interface) -> float:
-    return component.offering(ring=ring).length("ring")
-
-
-def cuff(limb: str, girth: float, length: float, kind: Cuff, design: CuffDesign) -> Component:
+def cuff(limb: str, girth: float, length: float, kind: Cuff, design: SleeveCuffDesign) -> Component:
     """A cuff round a limb, down from the origin; offers the ring ``top`` (front from right to left, then back).
 
     Raises ``PatternError`` for a cuff shorter than ``SHORTEST``.
@@ -173,7 +154,7 @@ def _band(limb: str, girth: float, length: float) -> Component:
     )
 
 
-def _skirt(limb: str, girth: float, length: float, design: CuffDesign) -> Component:
+def _skirt(limb: str, girth: float, length: float, design: SleeveCuffDesign) -> Component:
     flare = 0.5 * girth * (design.skirt_flare - 1)
     front, back, tube = _tube(
         f"{limb}_cuff_skirt",

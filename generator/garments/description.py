@@ -3,7 +3,7 @@
 Each garment's record describes it (``Garment.describe``), in the file that draws it. A description names only what is
 drawn: a slit that a godet skirt leaves out is not in its description, though its base's section declares one.
 
-Tags state what is drawn too. ``garment_tags`` collects those of the garments and adds those of the outfit as a whole.
+Tags state what is drawn too. ``garment_tags`` collects those of the garments and adds those of the garment as a whole.
 """
 
 from collections.abc import Iterable, Mapping
@@ -87,8 +87,8 @@ SOUNDS_LIKE_A_CONSONANT = ("one", "U-")
 """Beginnings with a vowel's letter that are spoken with a consonant: a one-shoulder top, a U-shaped neckline."""
 
 
-class Place(Enum):
-    """The part of a garment that a detail belongs to, in the order of a full caption."""
+class Zone(Enum):
+    """The zone of a garment that a detail belongs to, in the order of a full caption."""
 
     NECK = "neck"
     SLEEVES = "sleeves"
@@ -102,7 +102,7 @@ class Place(Enum):
 class Detail:
     """A visible detail, as noun phrases that may follow "with": ``("a slit in the back", "a back slit")``."""
 
-    place: Place
+    place: Zone
     words: Words
     main: bool = False
     """Whether captions of medium length mention it."""
@@ -125,7 +125,7 @@ UNGATHERED = CuffGathers()
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """The wearer, and how a bottom is sewn in its outfit."""
+    """The wearer, and how a bottom is sewn in its garment."""
 
     size: Measurements
     rise: float = 1.0
@@ -146,9 +146,9 @@ class Description:
     """Adjectives of its cut, for before the noun: "flared"."""
     details: tuple[Detail, ...] = ()
     traits: tuple[Words, ...] = ()
-    """Adjectives for the outfit that it is part of: "sleeveless"."""
+    """Adjectives for the garment that it is part of: "sleeveless"."""
     tags: tuple[Tag, ...] = ()
-    """The tags of the same facts; ``garment_tags`` adds those of the outfit as a whole."""
+    """The tags of the same facts; ``garment_tags`` adds those of the garment as a whole."""
 
     def adding(self, *details: Detail) -> Self:
         """The description with more details."""

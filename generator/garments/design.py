@@ -1,4 +1,4 @@
-"""The design of an outfit: all its parameters, in the order and under the names of GarmentCode's design files."""
+"""The design of a garment: all its parameters, in the order and under the names of GarmentCode's design files."""
 
 import logging
 from collections.abc import Iterator, Mapping
@@ -21,9 +21,9 @@ from gcd_dataset.generator.garments.levels_skirt import LEVELS_SKIRT, LevelsSkir
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.neckline import LeftNecklineDesign, NecklineDesign
 from gcd_dataset.generator.garments.pants import PANTS, PantsDesign
-from gcd_dataset.generator.garments.parameter import Choice, Space, plain
+from gcd_dataset.generator.garments.parameter import Choice, plain
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT, PencilSkirtDesign
-from gcd_dataset.generator.garments.shirt import LeftShirtDesign, ShirtDesign
+from gcd_dataset.generator.garments.shirt import LeftShirtDesign, ShirtDesign, UpperHalf
 from gcd_dataset.generator.garments.sleeve import LeftSleeveDesign, SleeveDesign
 from gcd_dataset.generator.garments.space import (
     Design,
@@ -38,7 +38,6 @@ from gcd_dataset.generator.garments.space import (
     with_parts,
 )
 from gcd_dataset.generator.garments.upper import STRAIGHT_SHIRT, Shirt
-from gcd_dataset.generator.garments.upper_half import UpperHalf
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 from gcd_dataset.jsonfile import read_toml
@@ -47,7 +46,7 @@ from gcd_dataset.yamlfile import read_yaml
 
 @dataclass(frozen=True)
 class MetaDesign(Design):
-    """The parts of the outfit: upper, waistband, bottom."""
+    """The parts of the garment: upper, waistband, bottom."""
 
     upper: Upper | None = one_of(Upper, keep=0.3)
     wb: Waistband | None = choice(None, *Waistband, None, keep=0.5)
@@ -87,7 +86,7 @@ class GarmentDesign(Design):
     pants: PantsDesign = section_of(PANTS)
 
     def sections_used(self) -> frozenset[str]:
-        """The names of the fields that the outfit is drawn from."""
+        """The names of the fields that the garment is drawn from."""
         meta, used = self.meta, {"meta"}
         if meta.wb:
             used.add("waistband")
@@ -98,7 +97,7 @@ class GarmentDesign(Design):
         return frozenset(used)
 
     def mends(self) -> frozenset[Mend]:
-        """The mends that may change the pattern of the outfit."""
+        """The mends that may change the pattern of the garment."""
         own = {Mend.EXPORT_PIVOT} | ({Mend.WORN_LENGTH} if self.meta.wb and self.meta.bottom else set())
         worn: list[Garment[Any]] = [] if self.meta.upper is None else [self.meta.upper.garment]
         if self.meta.bottom is not None:
@@ -155,7 +154,7 @@ def design_from_dict(values: Mapping[str, Any]) -> GarmentDesign:
     """The design from nested plain values or from GarmentCode's tree, below ``design`` or not; others are defaults.
 
     Logs and ignores parameters of another version of GarmentCode (the tree states their range or type) that change
-    nothing: false, zero, null, or of a section that the outfit does not use. Raises ``ConfigError`` with the paths of
+    nothing: false, zero, null, or of a section that the garment does not use. Raises ``ConfigError`` with the paths of
     all other unknown parameters and of all values outside their ranges.
 
     >>> design_from_dict({"meta": {"upper": None, "bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1}}).meta.bottom
@@ -213,14 +212,17 @@ def _changes(path: str, node: Any, used: set[str]) -> Iterator[tuple[str, bool]]
 
 
 def _leaves(space: DesignSpace[Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    return {entry.key: _leaf(entry.space, values[entry.key]) for entry in space.entries if entry.key in values}
-
-
-def _leaf(space: Space | DesignSpace[Any], value: Any) -> dict[str, Any]:
-    if isinstance(space, DesignSpace):
-        return _leaves(space, value)
-    leaf = {"v": plain(space.read(value)), "range": space.range, "type": space.kind}
-    return leaf if space.keep is None else leaf | {"default_prob": space.keep}
+    tree: dict[str, Any] = {}
+    for entry in space.entries:
+        if entry.key not in values:
+            continue
+        inner, value = entry.space, values[entry.key]
+        if isinstance(inner, DesignSpace):
+            tree[entry.key] = _leaves(inner, value)
+        else:
+            keep = {} if inner.keep is None else {"default_prob": inner.keep}
+            tree[entry.key] = {"v": plain(inner.read(value)), "range": inner.range, "type": inner.kind} | keep
+    return tree
 
 
 class Kind(Enum):

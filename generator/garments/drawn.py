@@ -1,15 +1,14 @@
-"""Facts of a drawn outfit: the gathers between its parts, and whether its sides match."""
+"""Facts of a drawn garment: the gathers between its parts, and whether its sides match."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from math import hypot
 
 import numpy as np
 from jaxtyping import Float
 
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.description import HEMS, RUFFLES, CuffGathers, Description, Detail, Setting, Tag
 from gcd_dataset.generator.garments.design import GarmentDesign
-from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
 
 SAME = 0.5  # cm: halves whose panels differ by less are symmetrical
@@ -18,11 +17,8 @@ ON_LIMBS = ("sleeve", "cuff")
 OTHER = "other"
 
 
-# ------------------------------------------------------------------------------------------------------------- gathers
-
-
 def part_of(panel: Panel) -> str:
-    """The part of an outfit that a panel belongs to: torso, band, bottom, other, or the name of a sleeve or cuff."""
+    """The part of a garment that a panel belongs to: torso, band, bottom, other, or the name of a sleeve or cuff."""
     if any(name in panel.name for name in ON_LIMBS):
         return panel.name.removesuffix("_f").removesuffix("_b")
     if panel.label == PanelRole.LEG:
@@ -77,9 +73,6 @@ def _boundaries(pattern: Pattern) -> dict[tuple[str, str], tuple[float, float]]:
     return dict(found)
 
 
-# ------------------------------------------------------------------------------------------------------------ symmetry
-
-
 def sides_match(details: Iterable[Detail], pattern: Pattern) -> bool:
     """Whether left and right are drawn as mirror images, and no detail is on one side only."""
     return not any(detail.sided for detail in details) and _is_symmetrical(pattern)
@@ -96,7 +89,9 @@ def _is_symmetrical(pattern: Pattern) -> bool:
         if name.startswith(("ins_", "wb_", "skirt_panel_")):
             continue
         other = _mirror_name(name, panels)
-        if not _mirrored_alike(panel, panels[other]):
+        # The corners of one panel are the mirror images of the other's, wherever they lie.
+        mine, theirs = _centred(panel.vertices * [-1.0, 1.0]), _centred(panels[other].vertices)
+        if len(mine) != len(theirs) or np.linalg.norm(mine[:, None] - theirs, axis=2).min(axis=1).max() >= SAME:
             return False
     return True
 
@@ -110,21 +105,13 @@ def _mirror_name(name: str, panels: dict[str, Panel]) -> str:
     return next((other for a, b in swapped if a in name and (other := name.replace(a, b)) in panels), name)
 
 
-def _mirrored_alike(panel: Panel, other: Panel) -> bool:
-    """Whether the corners of one panel are the mirror images of the other's, wherever they lie."""
-    mine, theirs = _centred(panel.vertices * [-1.0, 1.0]), _centred(other.vertices)
-    if len(mine) != len(theirs):
-        return False
-    return all(min(hypot(x - a, y - b) for a, b in theirs.tolist()) < SAME for x, y in mine.tolist())
-
-
 def _centred(corners: Float[np.ndarray, "v 2"]) -> Float[np.ndarray, "v 2"]:
     """The corners about the middle of their bounding box."""
     return corners - 0.5 * (corners.min(axis=0) + corners.max(axis=0))
 
 
 def garment_tags(size: Measurements, design: GarmentDesign, pattern: Pattern) -> tuple[str, ...]:
-    """The tags of an outfit, drawn for a wearer in ``pattern``, in the order of ``TAGS``, each once."""
+    """The tags of a garment, drawn for a wearer in ``pattern``, in the order of ``TAGS``, each once."""
     parts = [part for part in described(size, design, pattern) if part]
     found = {_kind(design)} | {tag for part in parts for tag in part.tags}
     details = [detail for part in parts for detail in part.details]
@@ -140,7 +127,7 @@ def garment_tags(size: Measurements, design: GarmentDesign, pattern: Pattern) ->
 def described(
     size: Measurements, design: GarmentDesign, pattern: Pattern
 ) -> tuple[Description | None, Description | None]:
-    """Upper and bottom in words, as drawn in ``pattern``; ``None`` for one that the outfit lacks."""
+    """Upper and bottom in words, as drawn in ``pattern``; ``None`` for one that the garment lacks."""
     meta = design.meta
     above = Setting(size, cuffs=cuff_gathers(pattern, legs=False))
     setting = Setting(size, bottom_rise(design), gather_below(pattern), cuff_gathers(pattern, legs=True))

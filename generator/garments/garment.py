@@ -1,6 +1,6 @@
-"""Garment records: all facts about a garment for outfits, sampling, rules, mends and statistics.
+"""Garment records: all facts about an upper or a bottom for designs, sampling, rules, mends and statistics.
 
-Every upper and bottom has one record, at the end of the file that draws it; ``wardrobe.py`` lists them. A ring is an
+Every one has its record at the end of the file that draws it; ``wardrobe.py`` lists them. A ring is an
 interface that goes once round the body.
 """
 
@@ -46,7 +46,7 @@ class Garment(ABC, Generic[D]):
     name: str
     """Name in design files; GarmentCode's name if GarmentCode has this garment."""
     section: str
-    """Name in design files of the section of an outfit's design that the garment is drawn from."""
+    """Name in design files of the section of a design that the garment is drawn from."""
     design: type[D]
     """Design class of the section."""
     weight: int = 1
@@ -60,13 +60,13 @@ class Garment(ABC, Generic[D]):
         return self.section.replace("-", "_")
 
     def section_design(self, design: "GarmentDesign") -> D:
-        """The garment's section of an outfit's design."""
+        """The garment's section of a design."""
         section: D = getattr(design, self.field)
         return section
 
     @abstractmethod
     def describe(self, setting: Setting, design: "GarmentDesign") -> Description:
-        """The garment of an outfit's design in words, as drawn."""
+        """The garment of a design in words, as drawn."""
 
 
 class GarmentChoice(Enum):
@@ -105,14 +105,14 @@ class UpperGarment(Garment[D]):
 
     @abstractmethod
     def draw(self, size: Measurements, design: "GarmentDesign", *, mends: frozenset[Mend]) -> Component:
-        """The component for an outfit's design; offers the ring ``bottom`` if ``carries``."""
+        """The component for a design; offers the ring ``bottom`` if ``carries``."""
 
     @abstractmethod
     def length(self, size: Measurements, design: "GarmentDesign") -> float:
-        """Length from the nape to the hem behind, for an outfit's design [cm]."""
+        """Length from the nape to the hem behind, for a design [cm]."""
 
     def sections_used(self, design: "GarmentDesign") -> tuple[str, ...]:
-        """The fields of an outfit's design that the garment is drawn from."""
+        """The fields of a design that the garment is drawn from."""
         return (self.field,)
 
 
@@ -142,7 +142,7 @@ class SimpleUpper(UpperGarment[D]):
 
 @dataclass(frozen=True, slots=True)
 class Cutting:
-    """Rise and length of a bottom as drawn in an outfit; the values in its section may differ."""
+    """Rise and length of a bottom as drawn in a garment; the values in its section may differ."""
 
     rise: float
     """Position of its top: 0 at the hips, 1 at the waist."""
@@ -153,10 +153,52 @@ class Cutting:
     """Suffix of its panels' names."""
 
 
+class DesignedBottom(NamedTuple):
+    """A part of a combined bottom, with its section."""
+
+    garment: "BottomGarment[Any]"
+    design: Any
+
+    @property
+    def plain(self) -> Any:
+        """The section without slits and cuts, so that another part can be sewn to the hem."""
+        return self.garment.without_slits(self.design)
+
+
+class Combined(NamedTuple, Generic[D]):
+    """The section of a combined bottom, and its parts from the top down."""
+
+    design: D
+    parts: tuple[DesignedBottom, ...]
+
+
 @dataclass(frozen=True, kw_only=True)
 class BottomGarment(Garment[D]):
-    """A garment that hangs from the waist."""
+    """A garment that hangs from the waist.
 
+    Its functions take its section of a design; those of a combined bottom, with ``parts_of``, take ``Combined``.
+    """
+
+    cut: Callable[[Measurements, Any, Cutting], Component]
+    """The component; it offers the ring ``top``, and ``bottom`` if levels may hang under it."""
+    length_of: Callable[[Measurements, Any, float], float]
+    """Length from the top, at a rise, to the hem [cm]."""
+    description_of: Callable[[Setting, Any], Description]
+    """The garment in words, as drawn."""
+    rise_of: Callable[[Any], float] = field(default=lambda design: float(design.rise))
+    """Position of its top: 0 at the hips, 1 at the waist."""
+    drawn_length_of: Callable[[Measurements, Any, float], float] | None = None
+    """``length_of`` as drawn, if a part has a least length [cm]."""
+    without_slits: Callable[[Any], Any] = field(default=lambda design: design)
+    """The section without slits and cuts, so that another part can be sewn to the hem."""
+    ungathered: Callable[[Any], Any] = field(default=lambda design: design)
+    """The section without gathers at the top."""
+    hem_tilt: Callable[[Any], float] = field(default=lambda design: 0.0)
+    """Tilt of the hem [degrees]."""
+    parts_of: Callable[[D], "tuple[BottomGarment[Any], ...]"] = field(default=lambda design: ())
+    """The parts of a combined bottom, each with its own section, from the top down."""
+    inherits_length: bool = False
+    """Whether its length is the ``length`` of its uppermost part."""
     legs: bool = False
     """Whether it has two legs."""
     gather_parameter: str = ""
@@ -167,7 +209,7 @@ class BottomGarment(Garment[D]):
     """The parameter of its section for the width of a flared bottom; empty if the width is fixed."""
     cuffs: Callable[[Measurements, D, float], tuple[float, float]] | None = None
     """Girths of the band at the end of its legs and of the leg inside the band, for a rise [cm]; ``None``: no legs."""
-    rings_of: Callable[[Measurements, D, float, float], Iterable[Ring]] = field(default=lambda size, design, *drawn: ())
+    rings_of: Callable[[Measurements, Any, float, float], Iterable[Ring]] = field(default=lambda *drawn: ())
     """The rings below the hips that may be narrower than the legs; empty for a wide skirt.
 
     For a rise, and a length from the top to the hem [cm].
@@ -184,29 +226,39 @@ class BottomGarment(Garment[D]):
     statistics_length_section: str = ""
     """The section whose ``length`` GarmentCodeData's published statistics report; empty for its own section."""
 
-    @abstractmethod
+    def drawn_from(self, design: "GarmentDesign") -> Any:
+        """The argument of its functions, from a whole design."""
+        section = self.section_design(design)
+        parts = tuple(DesignedBottom(part, part.section_design(design)) for part in self.parts_of(section))
+        return Combined(section, parts) if parts else section
+
     def draw(self, size: Measurements, design: "GarmentDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
-        """The component for an outfit's design, its top at ``rise``; offers the ring ``top``."""
+        """The component for a design, its top at ``rise``; offers the ring ``top``."""
+        section = self.drawn_from(design)
+        return self.cut(size, section, Cutting(rise, self.length_of(size, section, rise), mends))
 
-    @abstractmethod
     def rise(self, design: "GarmentDesign") -> float:
-        """Position of its top in an outfit's design: 0 at the hips, 1 at the waist."""
+        """Position of its top in a design: 0 at the hips, 1 at the waist."""
+        return self.rise_of(self.drawn_from(design))
 
-    @abstractmethod
     def length(self, size: Measurements, design: "GarmentDesign", rise: float) -> float:
-        """Length from the top, at a rise, to the hem, for an outfit's design [cm]."""
+        """Length from the top, at a rise, to the hem, for a design [cm]."""
+        return self.length_of(size, self.drawn_from(design), rise)
 
     def drawn_length(self, size: Measurements, design: "GarmentDesign", rise: float) -> float:
         """``length`` as drawn [cm]: longer if a part of the garment has a least length."""
-        return self.length(size, design, rise)
+        return (self.drawn_length_of or self.length_of)(size, self.drawn_from(design), rise)
 
     def rings(self, size: Measurements, design: "GarmentDesign", rise: float) -> Iterable[Ring]:
-        """The rings of the garment in an outfit's design, its top at ``rise``: see ``rings_of``."""
-        return self.rings_of(size, self.section_design(design), rise, self.length(size, design, rise))
+        """The rings of the garment in a design, its top at ``rise``: see ``rings_of``."""
+        return self.rings_of(size, self.drawn_from(design), rise, self.length(size, design, rise))
+
+    def describe(self, setting: Setting, design: "GarmentDesign") -> Description:
+        return self.description_of(setting, self.drawn_from(design))
 
     def parts(self, design: "GarmentDesign") -> "tuple[BottomGarment[Any], ...]":
         """The parts of a combined bottom, from the top down; empty for a simple bottom."""
-        return ()
+        return self.parts_of(self.section_design(design))
 
     def top(self, design: "GarmentDesign") -> "BottomGarment[Any]":
         """The uppermost part of a combined bottom; a simple bottom itself."""
@@ -214,125 +266,4 @@ class BottomGarment(Garment[D]):
 
     def length_garment(self, design: "GarmentDesign") -> "BottomGarment[Any]":
         """The bottom with the ``length`` parameter: this bottom, or its uppermost part if the length is inherited."""
-        return self
-
-
-@dataclass(frozen=True, kw_only=True)
-class SimpleBottom(BottomGarment[D]):
-    """A bottom that is drawn from one section."""
-
-    cut: Callable[[Measurements, D, Cutting], Component]
-    """The component; it offers the ring ``top``, and ``bottom`` if levels may hang under it."""
-    length_of: Callable[[Measurements, D, float], float]
-    """Length from the top, at a rise, to the hem [cm]."""
-    description_of: Callable[[Setting, D], Description]
-    """The garment in words, as drawn."""
-    without_slits: Callable[[D], D] = field(default=lambda design: design)
-    """The design without slits and cuts, so that another part can be sewn to the hem."""
-    ungathered: Callable[[D], D] = field(default=lambda design: design)
-    """The design without gathers at the top."""
-    hem_tilt: Callable[[D], float] = field(default=lambda design: 0.0)
-    """Tilt of the hem [degrees]."""
-
-    def draw(self, size: Measurements, design: "GarmentDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
-        section = self.section_design(design)
-        return self.cut(size, section, Cutting(rise, self.length_of(size, section, rise), mends))
-
-    def rise(self, design: "GarmentDesign") -> float:
-        rise: float = self.section_design(design).rise  # type: ignore[attr-defined]
-        return rise
-
-    def length(self, size: Measurements, design: "GarmentDesign", rise: float) -> float:
-        return self.length_of(size, self.section_design(design), rise)
-
-    def describe(self, setting: Setting, design: "GarmentDesign") -> Description:
-        return self.description_of(setting, self.section_design(design))
-
-
-@dataclass(frozen=True, slots=True)
-class DesignedBottom(Generic[D]):
-    """A simple bottom with its design: a part of a combined bottom."""
-
-    garment: SimpleBottom[D]
-    design: D
-
-    @property
-    def rise(self) -> float:
-        """Position of its top: 0 at the hips, 1 at the waist."""
-        rise: float = self.design.rise  # type: ignore[attr-defined]
-        return rise
-
-    def length(self, size: Measurements, rise: float) -> float:
-        """Length from the top, at a rise, to the hem [cm]."""
-        return self.garment.length_of(size, self.design, rise)
-
-    def cut(self, size: Measurements, cutting: Cutting) -> Component:
-        """The component without slits and cuts."""
-        return self.garment.cut(size, self.garment.without_slits(self.design), cutting)
-
-    def describe(self, setting: Setting) -> Description:
-        """The component of ``cut`` in words."""
-        return self.garment.description_of(setting, self.garment.without_slits(self.design))
-
-    def ungathered(self) -> "DesignedBottom[D]":
-        """The part without gathers at its top."""
-        return DesignedBottom(self.garment, self.garment.ungathered(self.design))
-
-    def rings(self, size: Measurements, rise: float, length: float) -> Iterable[Ring]:
-        """The rings of the component of ``cut``, with a length from the top to the hem [cm]."""
-        return self.garment.rings_of(size, self.garment.without_slits(self.design), rise, length)
-
-    @property
-    def hem_tilt(self) -> float:
-        """Tilt of its hem [degrees]."""
-        return self.garment.hem_tilt(self.design)
-
-
-@dataclass(frozen=True, kw_only=True)
-class CombinedBottom(BottomGarment[D]):
-    """A bottom made of simple bottoms, each with its own section."""
-
-    parts_of: Callable[[D], tuple[SimpleBottom[Any], ...]]
-    """Its parts, from its section, from the top down."""
-    combine: Callable[[Measurements, D, tuple[DesignedBottom[Any], ...], float, frozenset[Mend]], Component]
-    """The component, its top at a rise; it offers the ring ``top``."""
-    rise_of: Callable[[D, tuple[DesignedBottom[Any], ...]], float]
-    """Position of its top: 0 at the hips, 1 at the waist."""
-    length_of: Callable[[Measurements, D, tuple[DesignedBottom[Any], ...], float], float]
-    """Length from the top, at a rise, to the hem [cm]."""
-    description_of: Callable[[Setting, D, tuple[DesignedBottom[Any], ...]], Description]
-    """The garment in words, as drawn."""
-    rings_of_parts: Callable[[Measurements, D, tuple[DesignedBottom[Any], ...], float], Iterable[Ring]]
-    """In place of ``rings_of``: the rings below the hips that may be narrower than the legs, for a rise."""
-    drawn_length_of: Callable[[Measurements, D, tuple[DesignedBottom[Any], ...], float], float] | None = None
-    """``length_of`` as drawn, if a part has a least length [cm]."""
-    inherits_length: bool = False
-    """Whether its length is the ``length`` of its uppermost part."""
-
-    def draw(self, size: Measurements, design: "GarmentDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
-        return self.combine(size, self.section_design(design), self._designed_parts(design), rise, mends)
-
-    def rise(self, design: "GarmentDesign") -> float:
-        return self.rise_of(self.section_design(design), self._designed_parts(design))
-
-    def length(self, size: Measurements, design: "GarmentDesign", rise: float) -> float:
-        return self.length_of(size, self.section_design(design), self._designed_parts(design), rise)
-
-    def rings(self, size: Measurements, design: "GarmentDesign", rise: float) -> Iterable[Ring]:
-        return self.rings_of_parts(size, self.section_design(design), self._designed_parts(design), rise)
-
-    def drawn_length(self, size: Measurements, design: "GarmentDesign", rise: float) -> float:
-        length_of = self.drawn_length_of or self.length_of
-        return length_of(size, self.section_design(design), self._designed_parts(design), rise)
-
-    def describe(self, setting: Setting, design: "GarmentDesign") -> Description:
-        return self.description_of(setting, self.section_design(design), self._designed_parts(design))
-
-    def parts(self, design: "GarmentDesign") -> tuple[SimpleBottom[Any], ...]:
-        return self.parts_of(self.section_design(design))
-
-    def length_garment(self, design: "GarmentDesign") -> BottomGarment[Any]:
         return self.top(design) if self.inherits_length else self
-
-    def _designed_parts(self, design: "GarmentDesign") -> tuple[DesignedBottom[Any], ...]:
-        return tuple(DesignedBottom(part, part.section_design(design)) for part in self.parts(design))

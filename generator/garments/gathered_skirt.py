@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from gcd_dataset.generator.garments.description import RUFFLES, Description, Detail, Place, Setting, Tag
-from gcd_dataset.generator.garments.garment import Cutting, Ring, SimpleBottom
+from gcd_dataset.generator.garments.description import RUFFLES, Description, Detail, Setting, Tag, Zone
+from gcd_dataset.generator.garments.garment import BottomGarment, Cutting, Ring
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, skirt_panel, waist_ring
 from gcd_dataset.generator.garments.space import Design, integer, real
@@ -77,21 +77,21 @@ def _describe(setting: Setting, design: GatheredSkirtDesign) -> Description:
     slit = _slit(design, length, GATHERED_SKIRT.mends)
     if slit >= VISIBLE_SLIT:
         high = "high " if design.bottom_cut > HIGH_SLIT else ""
-        details.append(Detail(Place.HEM, (f"{high}slits at both sides", f"{high}side slits"), main=True))
+        details.append(Detail(Zone.HEM, (f"{high}slits at both sides", f"{high}side slits"), main=True))
         tags.append(Tag.SLIT)
     is_flared = design.flare > HARDLY_FLARED
     if is_flared:
         tags.append(Tag.A_LINE)
     if setting.gather >= RUFFLES:
         nouns = ("gathered A-line skirt",) if is_flared else ("gathered skirt",)
-        seam = Detail(Place.LOWER, ("fullness gathered at the waist", "gathers at the waist"))
+        seam = Detail(Zone.LOWER, ("fullness gathered at the waist", "gathers at the waist"))
         return Description(nouns, (), (seam, *details), tags=(Tag.GATHERED, *tags))
     if not is_flared:
         tags.append(Tag.STRAIGHT)
     return Description(("A-line skirt" if is_flared else "straight skirt",), (), tuple(details), tags=tuple(tags))
 
 
-GATHERED_SKIRT = SimpleBottom(
+GATHERED_SKIRT = BottomGarment(
     name="Skirt2",
     section="skirt",
     mends=frozenset({Mend.SLIT_LENGTH}),

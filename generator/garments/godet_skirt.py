@@ -6,17 +6,10 @@ from math import atan2, hypot, sqrt
 from typing import Any
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Detail, Place, Setting, Tag, number_word
-from gcd_dataset.generator.garments.garment import (
-    CombinedBottom,
-    Cutting,
-    DesignedBottom,
-    GarmentChoice,
-    Ring,
-    SimpleBottom,
-)
+from gcd_dataset.generator.garments.description import Description, Detail, Setting, Tag, Zone, number_word
+from gcd_dataset.generator.garments.garment import BottomGarment, Combined, Cutting, GarmentChoice, Ring
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
-from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
+from gcd_dataset.generator.garments.mends import ALL_MENDS
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
 from gcd_dataset.generator.garments.space import Design, choice, integer
 from gcd_dataset.generator.garments.trunk import girth_below_waist
@@ -33,7 +26,7 @@ STAND_OFF = 5.0  # cm from a panel to its godets, away from the body, GarmentCod
 class GodetBase(GarmentChoice):
     """Base skirts for godets."""
 
-    garment: SimpleBottom[Any]
+    garment: BottomGarment[Any]
 
     GATHERED = GATHERED_SKIRT
     PENCIL = PENCIL_SKIRT
@@ -61,8 +54,7 @@ class _Cut:
 
     width: float
     depth: float
-    distance: float
-    """Length of hem between two cuts; half of this length lies before the first cut."""
+    distance: float  # length of hem between two cuts; half of this length lies before the first cut
 
 
 def with_godets(skirt: Component, design: GodetSkirtDesign) -> Component:
@@ -145,27 +137,19 @@ def _starts(hem: float, count: int, cut: _Cut) -> list[float]:
     return starts
 
 
-def _combined(
-    size: Measurements,
-    design: GodetSkirtDesign,
-    parts: tuple[DesignedBottom[Any], ...],
-    rise: float,
-    mends: frozenset[Mend],
-) -> Component:
-    (base,) = parts
-    return with_godets(base.cut(size, Cutting(rise, base.length(size, rise), mends)), design)
+def _combined(size: Measurements, drawn: Combined[GodetSkirtDesign], cutting: Cutting) -> Component:
+    (base,) = drawn.parts
+    return with_godets(base.garment.cut(size, base.plain, cutting), drawn.design)
 
 
-def _rings(
-    size: Measurements, design: GodetSkirtDesign, parts: tuple[DesignedBottom[Any], ...], rise: float
-) -> Iterator[Ring]:
+def _rings(size: Measurements, drawn: Combined[GodetSkirtDesign], rise: float, length: float) -> Iterator[Ring]:
     """The rings of the base above its cuts, and the hem: godets narrower than their cuts draw it in."""
-    (base,) = parts
-    length, count = base.length(size, rise), design.num_inserts // 2
-    panels = base.cut(size, Cutting(rise, length, ALL_MENDS)).pieces
+    design, (base,) = drawn
+    count = design.num_inserts // 2
+    panels = base.garment.cut(size, base.plain, Cutting(rise, length, ALL_MENDS)).pieces
     hems = [piece.outline.length("bottom") for piece in panels]
     cuts = [_cut(hem, count, design) for hem in hems]
-    shown = base.garment.without_slits(base.design)
+    shown = base.plain
     if base.garment is PENCIL_SKIRT:
         opened = max(cut.depth for cut in cuts) / (length - rise * size.hips_line)
         shown = replace(shown, front_slit=min(opened, DEEPEST_SLIT))
@@ -175,23 +159,23 @@ def _rings(
     yield Ring("a hem with godets", cloth, body, "raise godet-skirt.insert_w, or godet-skirt.num_inserts")
 
 
-def _describe(setting: Setting, design: GodetSkirtDesign, parts: tuple[DesignedBottom[Any], ...]) -> Description:
-    base = parts[0].describe(setting)
-    count = number_word(design.num_inserts)
+def _describe(setting: Setting, drawn: Combined[GodetSkirtDesign]) -> Description:
+    (part,) = drawn.parts
+    base, count = part.garment.description_of(setting, part.plain), number_word(drawn.design.num_inserts)
     words = (f"{count} godets in the hem", f"{count} triangular godets set into the hem")
-    return replace(base.adding(Detail(Place.HEM, words, main=True)), tags=(Tag.GODETS, *base.tags))
+    return replace(base.adding(Detail(Zone.HEM, words, main=True)), tags=(Tag.GODETS, *base.tags))
 
 
-GODET_SKIRT = CombinedBottom(
+GODET_SKIRT = BottomGarment(
     name="GodetSkirt",
     section="godet-skirt",
     design=GodetSkirtDesign,
     parts_of=lambda design: (design.base.garment,),
-    combine=_combined,
-    rise_of=lambda design, parts: parts[0].rise,
-    length_of=lambda size, design, parts, rise: parts[0].length(size, rise),
+    cut=_combined,
+    rise_of=lambda drawn: float(drawn.parts[0].design.rise),
+    length_of=lambda size, drawn, rise: drawn.parts[0].garment.length_of(size, drawn.parts[0].design, rise),
     description_of=_describe,
-    rings_of_parts=_rings,
+    rings_of=_rings,
     inherits_length=True,
     remedies=("insert_depth-", "cuts_distance-"),
     widened_by="insert_w",

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from math import radians
 from typing import Any, TypeAlias
@@ -11,20 +12,13 @@ from gcd_dataset.generator.garments.description import (
     RUFFLES,
     Description,
     Detail,
-    Place,
     Setting,
     Tag,
+    Zone,
     number_word,
     with_article,
 )
-from gcd_dataset.generator.garments.garment import (
-    CombinedBottom,
-    Cutting,
-    DesignedBottom,
-    GarmentChoice,
-    Ring,
-    SimpleBottom,
-)
+from gcd_dataset.generator.garments.garment import BottomGarment, Combined, Cutting, GarmentChoice, Ring
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
@@ -40,7 +34,7 @@ GAP = 5.0  # cm between a hem and the level under it before sewing, GarmentCode
 class LevelsBase(GarmentChoice):
     """Skirts for the base."""
 
-    garment: SimpleBottom[Any]
+    garment: BottomGarment[Any]
 
     GATHERED = GATHERED_SKIRT
     PENCIL = PENCIL_SKIRT
@@ -51,7 +45,7 @@ class LevelsBase(GarmentChoice):
 class Level(GarmentChoice):
     """Skirts for the levels below."""
 
-    garment: SimpleBottom[Any]
+    garment: BottomGarment[Any]
 
     GATHERED = GATHERED_SKIRT
     CIRCLE = CIRCLE_SKIRT
@@ -102,7 +96,9 @@ def with_levels(
     """
     skirts = [base]
     for number in range(design.num_levels):
-        front, back = (design.level_ruffle * hem for hem in _hems(skirts[-1]))
+        above = skirts[-1]
+        hems = (above.piece(each.panel).outline.length(each.edge) for each in above.interface("bottom"))
+        front, back = (design.level_ruffle * hem for hem in hems)
         wearer = replace(size, waist=front + back, waist_back_width=back)
         next_level = level(wearer, f"_{number}").turned(-radians(hem_tilt))
         skirts.append(next_level.placed_by("top", skirts[-1], "bottom", gap=GAP))
@@ -112,79 +108,62 @@ def with_levels(
     return whole.offering(top=base.interface("top"))
 
 
-def _hems(skirt: Component) -> tuple[float, float]:
-    """Lengths of a hem, in front and behind [cm]."""
-    front, back = (skirt.piece(section.panel).outline.length(section.edge) for section in skirt.interface("bottom"))
-    return front, back
-
-
-def _combined(
-    size: Measurements,
-    design: LevelsSkirtDesign,
-    parts: tuple[DesignedBottom[Any], ...],
-    rise: float,
-    mends: frozenset[Mend],
-) -> Component:
+def _combined(size: Measurements, drawn: Combined[LevelsSkirtDesign], cutting: Cutting) -> Component:
     """A base and levels without slits; only ``level_ruffle`` gathers the levels."""
-    base, level = parts[0], parts[1].ungathered()
-    base_length, level_length = _lengths(size, design, rise=rise, mends=mends)
-    level_rise = 1.0 if Mend.LEVEL_GIRTH in mends else level.rise
+    design, (base, level), mends = drawn.design, drawn.parts, cutting.mends
+    base_length, level_length = _lengths(size, design, rise=cutting.rise, mends=mends)
+    ungathered = level.garment.without_slits(level.garment.ungathered(level.design))
+    level_rise = 1.0 if Mend.LEVEL_GIRTH in mends else level.design.rise
     return with_levels(
-        base.cut(size, Cutting(rise, base_length, mends)),
-        lambda wearer, suffix: level.cut(wearer, Cutting(level_rise, level_length, mends, suffix)),
+        base.garment.cut(size, base.plain, Cutting(cutting.rise, base_length, mends)),
+        lambda wearer, suffix: level.garment.cut(wearer, ungathered, Cutting(level_rise, level_length, mends, suffix)),
         design,
         size=size,
-        hem_tilt=base.hem_tilt,
+        hem_tilt=base.garment.hem_tilt(base.design),
     )
 
 
-def _length(size: Measurements, design: LevelsSkirtDesign, rise: float) -> float:
-    base, level = _lengths(size, design, rise=rise, mends=ALL_MENDS)
-    return base + design.num_levels * level
+def _length(size: Measurements, drawn: Combined[LevelsSkirtDesign], rise: float, *, shortest: float = 0.0) -> float:
+    """``shortest``: of base and levels [cm]."""
+    base, level = _lengths(size, drawn.design, rise=rise, mends=ALL_MENDS)
+    return max(base, shortest) + drawn.design.num_levels * max(level, shortest)
 
 
-def _drawn_length(size: Measurements, design: LevelsSkirtDesign, rise: float) -> float:
-    """``_length`` with each level at least ``SHORTEST`` long, as its skirt is drawn."""
-    base, level = _lengths(size, design, rise=rise, mends=ALL_MENDS)
-    return max(base, SHORTEST) + design.num_levels * max(level, SHORTEST)
-
-
-def _rings(
-    size: Measurements, design: LevelsSkirtDesign, parts: tuple[DesignedBottom[Any], ...], rise: float
-) -> Iterable[Ring]:
+def _rings(size: Measurements, drawn: Combined[LevelsSkirtDesign], rise: float, length: float) -> Iterable[Ring]:
     """The rings of the base; the levels are at least as wide as its hem."""
-    base_length, _ = _lengths(size, design, rise=rise, mends=ALL_MENDS)
-    return parts[0].rings(size, rise, base_length)
+    base, (base_length, _) = drawn.parts[0], _lengths(size, drawn.design, rise=rise, mends=ALL_MENDS)
+    return base.garment.rings_of(size, base.plain, rise, base_length)
 
 
-def _describe(setting: Setting, design: LevelsSkirtDesign, parts: tuple[DesignedBottom[Any], ...]) -> Description:
-    base, level = parts[0].describe(setting), parts[1]
+def _describe(setting: Setting, drawn: Combined[LevelsSkirtDesign]) -> Description:
+    design, (top, level) = drawn
+    base = top.garment.description_of(setting, top.plain)
     is_flared = level.garment is not GATHERED_SKIRT and level.design.suns >= FLARED_LEVEL
     is_gathered = design.level_ruffle >= RUFFLES
     cut = ("gathered " if is_gathered else "") + ("flared " if is_flared else "")
     tiers = f"{number_word(design.num_levels)} {cut}{'tier' if design.num_levels == 1 else 'tiers'}"
-    details = [Detail(Place.LOWER, (f"{tiers} under {with_article(base.noun[0])}",), main=True)]
+    details = [Detail(Zone.LOWER, (f"{tiers} under {with_article(base.noun[0])}",), main=True)]
     tags = [Tag.TIERED, *base.tags, *([Tag.RUFFLED] if is_gathered else [])]
-    if level.garment is ASYMMETRIC_CIRCLE_SKIRT and parts[0].garment is not ASYMMETRIC_CIRCLE_SKIRT:
+    if level.garment is ASYMMETRIC_CIRCLE_SKIRT and top.garment is not ASYMMETRIC_CIRCLE_SKIRT:
         words = ("tiers that are longer behind than in front", "high-low tiers")
-        details.append(Detail(Place.HEM, words))
+        details.append(Detail(Zone.HEM, words))
         tags.append(Tag.ASYMMETRIC)
     tiered = number_word(design.num_levels + 1)
     nouns = ("tiered skirt", f"{tiered}-tier skirt")
     return Description(nouns, (), (*details, *base.details), base.traits, tuple(tags))
 
 
-LEVELS_SKIRT = CombinedBottom(
+LEVELS_SKIRT = BottomGarment(
     name="SkirtLevels",
     section="levels-skirt",
     mends=frozenset({Mend.LEVEL_GIRTH}),
     design=LevelsSkirtDesign,
     parts_of=lambda design: (design.base.garment, design.level.garment),
-    combine=_combined,
-    rise_of=lambda design, parts: design.rise,
+    cut=_combined,
+    rise_of=lambda drawn: drawn.design.rise,
     remedies=("level_ruffle-", "num_levels-"),
-    length_of=lambda size, design, parts, rise: _length(size, design, rise),
-    drawn_length_of=lambda size, design, parts, rise: _drawn_length(size, design, rise),
+    length_of=_length,
+    drawn_length_of=partial(_length, shortest=SHORTEST),
     description_of=_describe,
-    rings_of_parts=_rings,
+    rings_of=_rings,
 )

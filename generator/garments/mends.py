@@ -11,7 +11,7 @@ Faults corrected without a switch, since they change neither outlines nor placem
 
 For some curves GarmentCode runs an underdetermined minimiser: a quadratic with one end tangent, the cap of a sleeve,
 the seam of a hood. This package meets length and tangents exactly, and otherwise follows the minimiser's results
-(``pattern/tangent.py``, ``pattern/cubic_fit.py``).
+(``pattern/cubic_fit.py``).
 """
 
 from enum import Enum

@@ -5,7 +5,6 @@ from dataclasses import dataclass, fields, replace
 from enum import Enum
 from itertools import pairwise
 from math import hypot, pi, radians, sin, tan
-from typing import NamedTuple
 
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic
 from gcd_dataset.errors import PatternError
@@ -102,14 +101,14 @@ def neckline_words(design: NecklineDesign, strokes: Sequence[Stroke], *, drop: f
     depth = next((word for least, word in DEPTHS if drop >= least), "")
     wide = "wide " if design.width >= WIDE else ""
     return tuple(
-        f"{depth}{wide}{shape} neckline".replace("V neckline", "V-neckline") for shape in _shape(design, strokes).words
+        f"{depth}{wide}{shape} neckline".replace("V neckline", "V-neckline") for shape in _shape(design, strokes)[1]
     )
 
 
 def neckline_tag(design: NecklineDesign, strokes: Sequence[Stroke]) -> Tag:
     """The tag of a neckline: its collar, or its shape in front, from half of it as drawn."""
     style = design.component.style
-    return _shape(design, strokes).tag if style is None else STYLES[style]
+    return _shape(design, strokes)[0] if style is None else STYLES[style]
 
 
 def back_neckline_words(design: NecklineDesign, *, drop: float) -> tuple[str, ...]:
@@ -119,36 +118,28 @@ def back_neckline_words(design: NecklineDesign, *, drop: float) -> tuple[str, ..
     return (f"a {depth}{shape}back", f"a {depth}{shape}back neckline") if depth else ()
 
 
-class _Shape(NamedTuple):
-    """The shape of a neckline in front."""
-
-    tag: Tag
-    words: tuple[str, ...]
-    """Adjectives."""
-
-
-def _shape(design: NecklineDesign, strokes: Sequence[Stroke]) -> _Shape:
-    """The shape as drawn: the sides of a trapezoid may meet in the middle, and flipped arcs bulge inwards."""
+def _shape(design: NecklineDesign, strokes: Sequence[Stroke]) -> tuple[Tag, tuple[str, ...]]:
+    """Tag and adjectives of the front as drawn: sides of a trapezoid may meet, and flipped arcs bulge inwards."""
     flipped = design.f_flip_curve
     match design.f_collar:
         case Neckline.CIRCLE:
-            return _Shape(Tag.ROUND_NECK, ("round", "scoop"))
+            return (Tag.ROUND_NECK, ("round", "scoop"))
         case Neckline.ARC:
-            return _Shape(Tag.CURVED_NECK, ("inward-curving",)) if flipped else _Shape(Tag.ROUND_NECK, ("round",))
+            return (Tag.CURVED_NECK, ("inward-curving",)) if flipped else (Tag.ROUND_NECK, ("round",))
         case Neckline.CURVY:
-            return _Shape(Tag.CURVED_NECK, ("curved V",) if flipped else ("U-shaped",))
+            return (Tag.CURVED_NECK, ("curved V",) if flipped else ("U-shaped",))
         case Neckline.V:
-            return _Shape(Tag.V_NECK, ("V",))
+            return (Tag.V_NECK, ("V",))
         case Neckline.SQUARE:
-            return _Shape(Tag.SQUARE_NECK, ("square",))
+            return (Tag.SQUARE_NECK, ("square",))
         case Neckline.TRAPEZOID if len(strokes) > 1:
-            return _Shape(Tag.SQUARE_NECK, ("trapezoid", "angled square"))
+            return (Tag.SQUARE_NECK, ("trapezoid", "angled square"))
         case Neckline.TRAPEZOID:
-            return _Shape(Tag.V_NECK, ("V",))
+            return (Tag.V_NECK, ("V",))
         case Neckline.BEZIER:
             if design.f_bezier_y < HARDLY_CURVED:
-                return _Shape(Tag.CURVED_NECK, ("softly curved V",))
-            return _Shape(Tag.CURVED_NECK, ("inward-curving",) if flipped else ("curved",))
+                return (Tag.CURVED_NECK, ("softly curved V",))
+            return (Tag.CURVED_NECK, ("inward-curving",) if flipped else ("curved",))
 
 
 def worn_neckline(design: NecklineDesign) -> NecklineDesign:
@@ -209,7 +200,9 @@ def neckline_shape(design: NecklineDesign, *, front: bool, half_width: float, de
     end = (half_width, -depth)
     match kind:
         case Neckline.CIRCLE:
-            return _curve(end, _circle(half_width, depth))
+            # Half of the arc through both shoulders and the lowest point, level there. Both halves of a neckline deeper
+            # than ``half_width`` form more than half a circle, wider than the shoulder points.
+            return _curve(end, Arc((half_width**2 + depth**2) / (2 * depth), large=False, right=True))
         case Neckline.CURVY:
             return _curve(end, CURVY_FLIPPED if flip else CURVY)
         case Neckline.V:
@@ -224,14 +217,6 @@ def neckline_shape(design: NecklineDesign, *, front: bool, half_width: float, de
         case Neckline.BEZIER:
             x, y = (design.f_bezier_x, design.f_bezier_y) if front else (design.b_bezier_x, design.b_bezier_y)
             return _curve(end, Quadratic((x, y if flip else -y)))
-
-
-def _circle(half_width: float, depth: float) -> Arc:
-    """Half of the arc through both shoulders and the lowest point, level there: its radius is ``(h² + d²) / 2d``.
-
-    Both halves of a neckline deeper than ``half_width`` form more than half a circle, wider than the shoulder points.
-    """
-    return Arc((half_width**2 + depth**2) / (2 * depth), large=False, right=True)
 
 
 def _curve(end: Point, curve: Curve) -> tuple[Stroke, ...]:

@@ -67,7 +67,8 @@ class Overlay:
             node = tree
             for key in parents:
                 node = node.setdefault(key, {})
-            node[name] = _to_plain(space)
+            values = [NONE if value is None else value for value in space.range]
+            node[name] = {_range_key(space): values} | ({} if space.keep is None else {"keep": space.keep})
         return tree
 
 
@@ -121,20 +122,14 @@ def _changed(space: Space, given: Any) -> Space:
                 f"has {range_key} = {given[range_key]!r}, not a list: write {range_key} = [{given[range_key]!r}]"
             )
         space = space.narrowed(given[range_key])
-    return space.with_keep(_probability(given["keep"])) if "keep" in given else space
-
-
-def _to_plain(space: Space) -> dict[str, Any]:
-    values = [NONE if value is None else value for value in space.range]
-    return {_range_key(space): values} | ({} if space.keep is None else {"keep": space.keep})
+    if "keep" not in given:
+        return space
+    keep = given["keep"]
+    if not isinstance(keep, int | float) or isinstance(keep, bool) or not 0 <= keep <= 1:
+        raise ConfigError(f"has keep = {keep!r}, not a probability from 0 to 1")
+    return space.with_keep(float(keep))
 
 
 def _range_key(space: Space) -> str:
     """The key for a parameter's values in an overlay's table."""
     return "options" if isinstance(space, Choice) else "range"
-
-
-def _probability(value: Any) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value <= 1:
-        raise ConfigError(f"has keep = {value!r}, not a probability from 0 to 1")
-    return float(value)

@@ -7,23 +7,22 @@ down into the crotch and back along the inside leg.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import hypot
-from typing import NamedTuple
 
 import numpy as np
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_words, skirt_share
-from gcd_dataset.generator.garments.description import UNGATHERED, Description, Detail, Place, Setting, Tag
-from gcd_dataset.generator.garments.garment import Ring, SimpleBottom
+from gcd_dataset.generator.garments.description import UNGATHERED, Description, Detail, Setting, Tag, Zone
+from gcd_dataset.generator.garments.garment import BottomGarment, Ring
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.skirt import length_below_waist
 from gcd_dataset.generator.garments.space import Design, part, real
 from gcd_dataset.generator.garments.trunk import (
-    back_at_rise,
+    Quarter,
+    back_quarter,
     drawn_rise,
-    girth_at_rise,
-    sides_and_darts,
+    front_quarter,
     waist_back,
     waist_front,
 )
@@ -37,7 +36,7 @@ CENTRE_STRAIGHT = 0.45  # of hips to waist: height at which the centre seam begi
 INSIDE_DROP = 1.5  # highest position of the hem's inner end, in crotch heights below the hips, GarmentCode
 INSIDE_SHIFT = 2.0  # cm across from the crotch to the inner end of a straight leg's hem, GarmentCode
 HEM_FULLNESS, INSIDE_FULLNESS = 0.75, 0.3  # bend of side seam and inside leg, of their chords, GarmentCode
-DART_DEPTH, OUTER_DART = 0.8, 0.9  # dart leg over hips to waist; outer over inner dart leg of the back, GarmentCode
+DART_DEPTH = 0.8  # dart leg over hips to waist, GarmentCode
 SHORTEST_LEG = 0.2  # least length of the leg without its cuff, as a fraction of hips to floor, GarmentCode
 CENTRE_GAP, FRONT, BACK = 0.5, 25.0, -20.0  # cm from the axis: crotch, front panel, back panel; GarmentCode
 WIDE_LEG, FLARED_LEG, TAPERED_LEG = 1.3, 1.07, 0.88  # limits of ``width`` and of ``flare`` for words
@@ -65,32 +64,6 @@ class PantsDesign(Design):
     cuff: PantsCuffDesign = part(PantsCuffDesign)
 
 
-class _Dart(NamedTuple):
-    """A dart in the waist [cm]."""
-
-    name: str
-    width: float
-    leg: float
-    from_centre: float
-    """Distance of the dart's middle from the centre, along the waist."""
-
-
-@dataclass(frozen=True)
-class _Quarter:
-    """Measures of the front or the back of one leg [cm]."""
-
-    waist: float
-    hips: float
-    depth: float
-    """Height from the hips to the waist."""
-    lean: float
-    """Horizontal distance by which the side leans in from hips to waist."""
-    crotch: float
-    """Extent of the crotch beyond the centre."""
-    darts: tuple[_Dart, ...]
-    """Darts that take in the rest of the difference of hips and waist, from the centre outwards."""
-
-
 def pants(size: Measurements, design: PantsDesign, *, rise: float, mends: frozenset[Mend] = ALL_MENDS) -> Component:
     """Two legs sewn at the crotch; offers the ring ``top``."""
     right = _leg(size, design, rise, mends)
@@ -113,11 +86,8 @@ def cuff_and_leg_girth(size: Measurements, design: PantsDesign, rise: float) -> 
     if design.cuff.type is None:
         return 0.0, 0.0
     length = _cuff_length(size, design)
-    front = _front_quarter(size, rise)
-    quarters = (front, _back_quarter(size, rise, crotch=_back_crotch(size, design, front.crotch)))
-    ends = (_hem(size, design, quarter, design.length * size.leg_length - length) for quarter in quarters)
     gathers = design.cuff.top_ruffle / (design.cuff.skirt_ruffle if design.cuff.type is Cuff.SKIRT else 1.0)
-    girth = sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in ends) / max(gathers, 1.0)
+    girth = _hem_girth(size, design, rise, design.length * size.leg_length - length) / max(gathers, 1.0)
     skirt = skirt_share(design.cuff)
     hem, crotch = (1 - design.length) * size.leg_length, size.leg_length - size.crotch_hip_diff
     levels = np.linspace(hem + skirt * length, hem + length, 9) / crotch
@@ -128,23 +98,22 @@ def _leg(size: Measurements, design: PantsDesign, rise: float, mends: frozenset[
     """The right leg; offers the edges that meet the left leg or the waistband."""
     top = drawn_rise(size, rise)
     below_hips = length_below_waist(size, design.length, rise=rise - top) - _cuff_length(size, design)
-    front_quarter = _front_quarter(size, top, mends)
-    back_quarter = _back_quarter(size, top, mends, crotch=_back_crotch(size, design, front_quarter.crotch))
-    front = _panel("pant_f_r", size, design, front_quarter, below_hips).moved((0, 0, FRONT))
-    back = _panel("pant_b_r", size, design, back_quarter, below_hips).moved((0, 0, BACK))
+    ahead, behind = _quarters(size, design, top, mends)
+    front = _panel("pant_f_r", size, design, ahead, below_hips).moved((0, 0, FRONT))
+    back = _panel("pant_b_r", size, design, behind, below_hips).moved((0, 0, BACK))
     leg = (
         Component.of(front, back)
         .sewn(front.along("outside", "hip"), back.along("outside") + back.along("hip", ruffle=BACK_RAISE))
         .sewn(front.along("inside"), back.along("inside"))
         .offering(
-            front_top=front.along("top", ruffle=front_quarter.waist / (0.5 * waist_front(size))),
-            back_top=back.along("top", ruffle=back_quarter.waist / (0.5 * waist_back(size))),
+            front_top=front.along("top", ruffle=ahead.waist / (0.5 * waist_front(size))),
+            back_top=back.along("top", ruffle=behind.waist / (0.5 * waist_back(size))),
             front_crotch=front.along("centre", "crotch"),
             back_crotch=back.along("centre", "crotch"),
             hem=front.against("hem") + back.along("hem"),
         )
     )
-    for piece, quarter in ((front, front_quarter), (back, back_quarter)):
+    for piece, quarter in ((front, ahead), (back, behind)):
         for sewn in quarter.darts:
             leg = leg.sewn(piece.along(f"{sewn.name}.0"), piece.against(f"{sewn.name}.1"))
     return leg if design.cuff.type is None else _with_cuff(size, design, leg, design.cuff.type)
@@ -168,60 +137,41 @@ def _cuff_length(size: Measurements, design: PantsDesign) -> float:
     return min(design.cuff.cuff_len, design.length - SHORTEST_LEG) * size.leg_length
 
 
-def _back_crotch(size: Measurements, design: PantsDesign, front: float) -> float:
-    """Extent of the back's crotch beyond the centre [cm]; ``front``: extent of the front's crotch [cm].
+def _quarters(
+    size: Measurements, design: PantsDesign, rise: float, mends: frozenset[Mend] = ALL_MENDS
+) -> tuple[Quarter, Quarter]:
+    """Front and back of one leg.
 
-    Raises ``PatternError`` for legs so thin relative to the hips that nothing is left for the back.
+    Raises ``PatternError`` for legs so thin relative to the hips that no crotch is left for the back.
     """
-    crotch = design.width * (size.leg_circ - 0.5 * size.hips + CROTCH_EASE) - front
+    front = front_quarter(size, rise, mends, leg=DART_DEPTH)
+    front = front._replace(crotch=FRONT_CROTCH * front.hips)
+    crotch = design.width * (size.leg_circ - 0.5 * size.hips + CROTCH_EASE) - front.crotch
     if crotch <= 0:
         raise PatternError(
             f"trousers: legs of {size.leg_circ:.1f} cm and hips of {size.hips:.1f} cm leave {crotch:.1f} cm of crotch "
             "to the back: raise pants.width"
         )
-    return crotch
+    leg = DART_DEPTH * (BACK_RAISE * rise * size.hips_line)
+    return front, back_quarter(size, rise, mends, raise_=BACK_RAISE, leg=leg)._replace(crotch=crotch)
 
 
-def _front_quarter(size: Measurements, rise: float, mends: frozenset[Mend] = ALL_MENDS) -> _Quarter:
-    waist = 0.5 * (girth_at_rise(size, rise) - back_at_rise(size, rise))
-    hips, depth = 0.5 * (size.hips - size.hip_back_width), rise * size.hips_line
-    lean, width = sides_and_darts(size, hips - waist, depth, darts=1, mends=mends)
-    darts = (_Dart("dart", width, DART_DEPTH * depth, 0.5 * size.bust_points + 0.5 * width),) if width > 0 else ()
-    return _Quarter(waist, hips, depth, lean, FRONT_CROTCH * hips, darts)
-
-
-def _back_quarter(size: Measurements, rise: float, mends: frozenset[Mend] = ALL_MENDS, *, crotch: float) -> _Quarter:
-    waist, hips, depth = 0.5 * back_at_rise(size, rise), 0.5 * size.hip_back_width, BACK_RAISE * rise * size.hips_line
-    lean, width = sides_and_darts(size, hips - waist, depth, darts=2, mends=mends)
-    darts = _back_darts(0.5 * size.bum_points, width, DART_DEPTH * depth)
-    return _Quarter(waist, hips, depth, lean, crotch, darts)
-
-
-def _back_darts(seat: float, width: float, leg: float) -> tuple[_Dart, ...]:
-    """Two darts with a total ``width``, on both sides of the seat's fullest point, ``seat`` cm from the centre."""
-    if width <= 0:
-        return ()
-    inner = _Dart("inner_dart", 0.5 * width, leg, 0.75 * seat + 0.25 * width)
-    outer = _Dart("outer_dart", 0.5 * width, OUTER_DART * leg, 1.25 * seat + 0.75 * width)
-    return inner, outer
-
-
-def _panel(name: str, size: Measurements, design: PantsDesign, quarter: _Quarter, leg: float) -> Piece:
+def _panel(name: str, size: Measurements, design: PantsDesign, quarter: Quarter, leg: float) -> Piece:
     """The front or the back of the right leg, its crotch beside the wearer's axis and its waist at the rise."""
     outline = _outline(size, design, quarter, leg)
     for drawn in quarter.darts:
         at = quarter.hips - quarter.lean - drawn.from_centre
         outline = cut_into(outline, "top", dart(drawn.width, drawn.leg, name=drawn.name), at=at)
-    crotch_level = size.waist_level - quarter.depth - size.crotch_hip_diff
+    crotch_level = size.waist_level - quarter.height - size.crotch_hip_diff
     x, y = outline.edge("crotch").end
     return Piece(name, outline).at(-CENTRE_GAP - x, crotch_level - y, 0)
 
 
-def _outline(size: Measurements, design: PantsDesign, quarter: _Quarter, leg: float) -> Outline:
+def _outline(size: Measurements, design: PantsDesign, quarter: Quarter, leg: float) -> Outline:
     """The panel without darts; the hem of a straight leg begins at the origin, the hips are ``leg`` cm above."""
-    waist, fork = leg + quarter.depth, (quarter.hips + quarter.crotch, leg - size.crotch_hip_diff)
+    waist, fork = leg + quarter.height, (quarter.hips + quarter.crotch, leg - size.crotch_hip_diff)
     hip, side = (0.0, leg), (quarter.lean, waist)
-    centre = (quarter.hips, leg + CENTRE_STRAIGHT * quarter.depth)
+    centre = (quarter.hips, leg + CENTRE_STRAIGHT * quarter.height)
     hem, inside = _hem(size, design, quarter, leg)
     flare = -hem[0]
     down_inside = (flare, inside[1] - fork[1])
@@ -238,24 +188,28 @@ def _outline(size: Measurements, design: PantsDesign, quarter: _Quarter, leg: fl
     )
 
 
-def _hem(size: Measurements, design: PantsDesign, quarter: _Quarter, leg: float) -> tuple[Point, Point]:
+def _hem(size: Measurements, design: PantsDesign, quarter: Quarter, leg: float) -> tuple[Point, Point]:
     """The outer and the inner end of a panel's hem."""
     flare = 0.25 * size.leg_circ * (design.flare - 1)
     inner = quarter.hips + quarter.crotch - INSIDE_SHIFT + flare
     return (-flare, 0.0), (inner, min(0.0, leg - INSIDE_DROP * size.crotch_hip_diff))
 
 
+def _hem_girth(size: Measurements, design: PantsDesign, rise: float, leg: float) -> float:
+    """Girth of a leg's hem, ``leg`` cm below the hips [cm]."""
+    ends = (_hem(size, design, quarter, leg) for quarter in _quarters(size, design, rise))
+    return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in ends)
+
+
 def _rings(size: Measurements, design: PantsDesign, rise: float) -> Iterator[Ring]:
     """The ring of a leg's hem; none for a leg with a cuff."""
     if design.cuff.type is not None:
         return
-    front = _front_quarter(size, rise)
-    quarters = (front, _back_quarter(size, rise, crotch=_back_crotch(size, design, front.crotch)))
-    ends = (_hem(size, design, quarter, design.length * size.leg_length) for quarter in quarters)
     crotch = size.leg_length - size.crotch_hip_diff
     level = min((1 - design.length) * size.leg_length / crotch, 1.0)
     leg = float(np.interp(level, LEG_LEVELS, LEG_GIRTHS)) * size.leg_circ
-    yield Ring("a trouser leg", sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in ends), leg, "raise pants.flare")
+    hem = _hem_girth(size, design, rise, design.length * size.leg_length)
+    yield Ring("a trouser leg", hem, leg, "raise pants.flare")
 
 
 def _describe(setting: Setting, design: PantsDesign) -> Description:
@@ -270,10 +224,10 @@ def _describe(setting: Setting, design: PantsDesign) -> Description:
         return Description(("trousers",), traits, tags=(Tag.TROUSERS,))
     gathers = setting.cuffs.get("right", UNGATHERED)
     words = cuff_words(design.cuff.type, _cuff_length(setting.size, design), gathers, limb="leg")
-    return Description(("trousers",), traits, (Detail(Place.HEM, words, main=True),), tags=(Tag.TROUSERS, Tag.CUFFS))
+    return Description(("trousers",), traits, (Detail(Zone.HEM, words, main=True),), tags=(Tag.TROUSERS, Tag.CUFFS))
 
 
-PANTS = SimpleBottom(
+PANTS = BottomGarment(
     name="Pants",
     section="pants",
     design=PantsDesign,

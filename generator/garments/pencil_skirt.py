@@ -9,17 +9,18 @@ import numpy as np
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import ASYMMETRIC, Description, Detail, Place, Setting, Tag
-from gcd_dataset.generator.garments.garment import Cutting, Ring, SimpleBottom
+from gcd_dataset.generator.garments.description import ASYMMETRIC, Description, Detail, Setting, Tag, Zone
+from gcd_dataset.generator.garments.garment import BottomGarment, Cutting, Ring
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.skirt import hem_ring, length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
 from gcd_dataset.generator.garments.trunk import (
-    back_at_rise,
+    Quarter,
+    WaistDart,
+    back_quarter,
     drawn_rise,
-    girth_at_rise,
+    front_quarter,
     girth_below_waist,
-    sides_and_darts,
 )
 from gcd_dataset.generator.pattern import (
     Component,
@@ -39,7 +40,6 @@ FRONT, BACK = 25.0, -20.0  # cm: z of front and back before sewing, GarmentCode
 BACK_EASE = 1.05  # height from hips to top behind, over the height in front, GarmentCode
 FRONT_DART = 0.8  # dart leg over the height from hips to top, in front, GarmentCode
 BACK_DART = 0.85  # dart leg of the back over the height in front, before ``BACK_EASE - 1`` is added, GarmentCode
-OUTER_DART = 0.9  # outer over inner dart leg of the back, GarmentCode
 SLIT_WIDTH = 2.0  # cm, GarmentCode
 SIDE_BEND = 0.75  # position of a flared side's control point along its chord, GarmentCode
 RINGS = 9  # levels below the hips at which the skirt's girth is compared with the legs
@@ -80,30 +80,6 @@ class PencilSkirtDesign(Design):
     style_side_cut: StyleCut | None = choice(None, *StyleCut, None, keep=1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class _SkirtDart:
-    """A pair of darts [cm]."""
-
-    at: float
-    """Distance of each dart from the middle of the top."""
-    width: float
-    leg: float
-
-
-@dataclass(frozen=True, slots=True)
-class _SkirtShape:
-    """The measures that differ between front and back [cm]."""
-
-    name: str
-    hips: float
-    """Half of the panel's width at the hips."""
-    height: float
-    """Height from the hips to the top."""
-    lean: float
-    """Horizontal distance by which the side leans in from hips to top; the darts take in the rest."""
-    darts: tuple[_SkirtDart, ...]
-
-
 def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting) -> Component:
     """Front and back; the front has the length of ``cutting``. Offers the rings ``top`` and ``bottom``.
 
@@ -114,44 +90,33 @@ def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting
         raise PatternError(
             f"pencil-skirt.style_side_cut is {design.style_side_cut.value}, but ornaments are not drawn: set it to null"
         )
-    rise, suffix, mends = drawn_rise(size.require(*MEASURES_USED), cutting.rise), cutting.suffix, cutting.mends
+    rise = drawn_rise(size.require(*MEASURES_USED), cutting.rise)
     below = cutting.length - rise * size.hips_line
     if below <= 0:
         raise PatternError(f"a pencil skirt ends {-below:.1f} cm above the hips: lengthen it, or choose another skirt")
-    shapes = (_front(size, rise, suffix, mends), _back(size, rise, suffix, mends))
-    front, back = (_panel(size, design, shape, below) for shape in shapes)
+    names = (f"skirt_front{cutting.suffix}", f"skirt_back{cutting.suffix}")
+    shapes = dict(zip(names, _quarters(size, rise, cutting.mends), strict=True))
+    front, back = (_panel(size, design, name, shape, below) for name, shape in shapes.items())
     front = _slit(front, design.front_slit * below).at(0, size.waist_level, FRONT)
     back = _slit(back, design.back_slit * below).at(0, size.waist_level, BACK)
+    skirt = Component.of(front, back)
+    for piece in skirt.pieces:
+        for number in range(2 * len(shapes[piece.name].darts)):
+            skirt = skirt.sewn(piece.along(f"dart_{number}.0"), piece.against(f"dart_{number}.1"))
     return (
-        _with_darts_sewn(Component.of(front, back), shapes)
-        .sewn(_side(front.along, "right", ease=1.0), _side(back.along, "right", ease=BACK_EASE))
+        skirt.sewn(_side(front.along, "right", ease=1.0), _side(back.along, "right", ease=BACK_EASE))
         .sewn(_side(front.against, "left", ease=1.0), _side(back.against, "left", ease=BACK_EASE))
         .offering(top=waist_ring(size, front, back), bottom=hem_ring(front, back))
     )
 
 
-def _front(size: Measurements, rise: float, suffix: str, mends: frozenset[Mend]) -> _SkirtShape:
-    """The front: one dart on each side, below the bust point."""
-    hips, waist = 0.5 * (size.hips - size.hip_back_width), 0.5 * (girth_at_rise(size, rise) - back_at_rise(size, rise))
-    height = rise * size.hips_line
-    lean, taken = sides_and_darts(size, hips - waist, height, darts=1, mends=mends)
-    single = _SkirtDart(0.5 * (size.bust_points + taken), taken, FRONT_DART * height)
-    return _SkirtShape(f"skirt_front{suffix}", hips, height, lean, (single,) if taken else ())
-
-
-def _back(size: Measurements, rise: float, suffix: str, mends: frozenset[Mend]) -> _SkirtShape:
-    """The back: two darts on each side, one on either side of the fullest point."""
-    hips, waist = 0.5 * size.hip_back_width, 0.5 * back_at_rise(size, rise)
-    height = BACK_EASE * rise * size.hips_line
-    lean, taken = sides_and_darts(size, hips - waist, height, darts=2, mends=mends)
+def _quarters(size: Measurements, rise: float, mends: frozenset[Mend]) -> tuple[Quarter, Quarter]:
+    """Half of the front and half of the back."""
     leg = (BACK_DART + BACK_EASE - 1) * rise * size.hips_line
-    point = 0.5 * size.bum_points
-    inner = _SkirtDart(0.75 * point + 0.25 * taken, 0.5 * taken, leg)
-    outer = _SkirtDart(1.25 * point + 0.75 * taken, 0.5 * taken, OUTER_DART * leg)
-    return _SkirtShape(f"skirt_back{suffix}", hips, height, lean, (inner, outer) if taken else ())
+    return front_quarter(size, rise, mends, leg=FRONT_DART), back_quarter(size, rise, mends, raise_=BACK_EASE, leg=leg)
 
 
-def _panel(size: Measurements, design: PencilSkirtDesign, shape: _SkirtShape, below: float) -> Piece:
+def _panel(size: Measurements, design: PencilSkirtDesign, name: str, shape: Quarter, below: float) -> Piece:
     """The panel below the origin, the middle of its top; drawn from the right end of its hem up."""
     hem = _hem_width(size, shape, design)
     tilt = tan(radians(design.low_angle)) * hem
@@ -163,15 +128,15 @@ def _panel(size: Measurements, design: PencilSkirtDesign, shape: _SkirtShape, be
         Outline.start(-hem, bottom + tilt)
         .then(*right_seam)
         .curve(-top, 0, tangent_quadratic(right, (-top, 0), start_tangent=UP), name="right_hip")
-        .then(*_darted(shape.name, -top, top, shape.darts))
+        .then(*_darted(name, -top, top, shape.darts))
         .curve(*left, tangent_quadratic((top, 0), left, end_tangent=DOWN), name="left_hip")
         .then(*(stroke.reversed() for stroke in reversed(left_seam)))
         .close(name="bottom")
     )
-    return Piece(shape.name, outline)
+    return Piece(name, outline)
 
 
-def _hem_width(size: Measurements, shape: _SkirtShape, design: PencilSkirtDesign) -> float:
+def _hem_width(size: Measurements, shape: Quarter, design: PencilSkirtDesign) -> float:
     """Half of a panel's width at the hem [cm]."""
     return shape.hips + 0.25 * size.hips * (design.flare - 1)
 
@@ -186,10 +151,10 @@ def _below_hips(hem: Point, hip: Point, design: PencilSkirtDesign, name: str, op
     return replace(slit, name=f"{name}_slit"), sewn
 
 
-def _darted(panel: str, right: float, left: float, darts: Sequence[_SkirtDart]) -> tuple[Stroke, ...]:
+def _darted(panel: str, right: float, left: float, darts: Sequence[WaistDart]) -> tuple[Stroke, ...]:
     """A straight top between two ends, with pairs of darts about its middle."""
     top = Outline.start(right, 0)
-    both = [(-fold.at, fold) for fold in reversed(darts)] + [(fold.at, fold) for fold in darts]
+    both = [(-fold.from_centre, fold) for fold in reversed(darts)] + [(fold.from_centre, fold) for fold in darts]
     for number, (middle, fold) in enumerate(both):
         first, last = middle - 0.5 * fold.width, middle + 0.5 * fold.width
         if not top.pen[0] < first < last < left:
@@ -214,19 +179,11 @@ def _side(walk: Callable[..., Interface], side: str, *, ease: float) -> Interfac
     return walk(side) + walk(f"{side}_hip", ruffle=ease)
 
 
-def _with_darts_sewn(skirt: Component, shapes: Sequence[_SkirtShape]) -> Component:
-    for shape in shapes:
-        piece = skirt.piece(shape.name)
-        for number in range(2 * len(shape.darts)):
-            skirt = skirt.sewn(piece.along(f"dart_{number}.0"), piece.against(f"dart_{number}.1"))
-    return skirt
-
-
 def _rings(size: Measurements, design: PencilSkirtDesign, rise: float, length: float) -> Iterator[Ring]:
     """The skirt's cloth below the hips, above its highest slit, the hem's tilt left out."""
     below = length - rise * size.hips_line
     slit = max(design.front_slit, design.back_slit, design.left_slit, design.right_slit)
-    shapes = (_front(size, rise, "", ALL_MENDS), _back(size, rise, "", ALL_MENDS))
+    shapes = _quarters(size, rise, ALL_MENDS)
     hems = [(-_hem_width(size, shape, design), -below) for shape in shapes]
     sides = [_below_hips(hem, (-shape.hips, 0.0), design, "", 0.0)[0] for hem, shape in zip(hems, shapes, strict=True)]
     for share in np.linspace(0.0, 1.0, RINGS):
@@ -245,14 +202,14 @@ def _describe(setting: Setting, design: PencilSkirtDesign) -> Description:
         "left": design.left_slit,
     }
     slits = {name: share for name, share in shares.items() if share * below >= VISIBLE_SLIT}
-    details = [Detail(Place.HEM, words, main=True, sided=sided) for words, sided in _slit_words(slits)]
+    details = [Detail(Zone.HEM, words, main=True, sided=sided) for words, sided in _slit_words(slits)]
     tags = [Tag.PENCIL if design.flare <= 1 else Tag.A_LINE, *([Tag.SLIT] if slits else [])]
     is_tilted = abs(design.low_angle) >= VISIBLE_TILT
     if is_tilted:
         tags.append(Tag.ASYMMETRIC)
         side, other = ("left", "right") if design.low_angle > 0 else ("right", "left")
         words = (f"a hem that slants down to the {side}", f"a slanted hem that is higher on the {other}")
-        details.append(Detail(Place.HEM, words, main=True, sided=True))
+        details.append(Detail(Zone.HEM, words, main=True, sided=True))
     if design.flare <= 1:
         nouns: tuple[str, ...] = ("pencil skirt",)
     else:
@@ -274,7 +231,7 @@ def _slit_words(slits: Mapping[str, float]) -> Iterator[tuple[tuple[str, ...], b
             yield (f"a {high}slit in the {name} side seam", f"a {high}slit on the {name}"), True
 
 
-PENCIL_SKIRT = SimpleBottom(
+PENCIL_SKIRT = BottomGarment(
     name="PencilSkirt",
     section="pencil-skirt",
     design=PencilSkirtDesign,

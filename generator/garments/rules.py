@@ -14,11 +14,10 @@ from jaxtyping import Complex
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import Fault, Rule, Severity, check_pattern
+from gcd_dataset.generator.garments.assembly import bottom_rise, pieces
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.garment import BottomGarment
-from gcd_dataset.generator.garments.load import STRAPS_GIVE, hip_load, strap_stretch
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
-from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
 from gcd_dataset.generator.garments.sewable import (
     CLOTH_GIVES,
     SHARPEST_CORNER,
@@ -30,7 +29,7 @@ from gcd_dataset.generator.garments.sewable import (
     shortest_shoulder,
     strap_width,
 )
-from gcd_dataset.generator.garments.tightness import tightest_ring, trunk_rings
+from gcd_dataset.generator.garments.tightness import STRAPS_GIVE, hip_load, strap_stretch, tightest_ring, trunk_rings
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.waistband import band_rise
 from gcd_dataset.generator.pattern import MeasuredJoin, assemble_and_measure
@@ -57,7 +56,7 @@ class Reject:
 
 @dataclass(frozen=True)
 class DrawnGarment:
-    """An outfit drawn for a wearer, with its joins and the faults of its pattern."""
+    """A garment drawn for a wearer, with its joins and the faults of its pattern."""
 
     size: Measurements
     design: GarmentDesign
@@ -72,53 +71,53 @@ class DrawnGarment:
         return tuple(map(edge_hulls, self.pattern.panels))
 
     @classmethod
-    def of(cls, size: Measurements, design: GarmentDesign, *, name: str = "outfit") -> Self:
-        """Draw and check an outfit. Raises ``PatternError`` if it cannot be drawn for this wearer."""
+    def of(cls, size: Measurements, design: GarmentDesign, *, name: str = "garment") -> Self:
+        """Draw and check a garment. Raises ``PatternError`` if it cannot be drawn for this wearer."""
         pattern, joins = assemble_and_measure(pieces(size, design), name)
         return cls(size, design, pattern, joins, check_pattern(pattern))
 
 
-def try_on(size: Measurements, design: GarmentDesign, *, name: str = "outfit") -> Pattern | Reject:
+def try_on(size: Measurements, design: GarmentDesign, *, name: str = "garment") -> Pattern | Reject:
     """The pattern of a design for a wearer, or the first reason why it cannot be drawn or worn."""
     if design.meta.upper is None and design.meta.bottom is None:
-        return Reject("empty", "an outfit without upper and bottom, at most a belt: choose meta.upper or meta.bottom")
+        return Reject("empty", "a garment without upper and bottom, at most a belt: choose meta.upper or meta.bottom")
     try:
-        outfit = DrawnGarment.of(size, design, name=name)
+        garment = DrawnGarment.of(size, design, name=name)
     except PatternError as error:
         return Reject("cannot_be_drawn", str(error))
-    return next(iter(check_design(outfit)), outfit.pattern)
+    return next(iter(check_design(garment)), garment.pattern)
 
 
-def check_design(outfit: DrawnGarment) -> tuple[Reject, ...]:
+def check_design(garment: DrawnGarment) -> tuple[Reject, ...]:
     """All reasons to reject the pattern; empty if it can be worn."""
-    found = (rule(outfit) for rule in RULES)
+    found = (rule(garment) for rule in RULES)
     return tuple(reject for reject in found if reject is not None)
 
 
-def reaches_floor(outfit: DrawnGarment) -> Reject | None:
+def reaches_floor(garment: DrawnGarment) -> Reject | None:
     """The parts together are longer than the body from nape to floor, or for a bottom alone from waist to floor."""
-    length, room = garment_length(outfit.size, outfit.design), room_to_floor(outfit.size, outfit.design)
+    length, room = garment_length(garment.size, garment.design), room_to_floor(garment.size, garment.design)
     if length <= room:
         return None
     figures = f"{length:.1f} cm of garment over {room:.1f} cm of body: shorten it"
     return Reject("reaches_floor", figures, {"length_cm": length, "room_cm": room})
 
 
-def slides_off(outfit: DrawnGarment) -> Reject | None:
+def slides_off(garment: DrawnGarment) -> Reject | None:
     """A bottom without an upper is wider at its top than waist and hips."""
-    if not _is_bottom_alone(outfit.design):
+    if not _is_bottom_alone(garment.design):
         return None
-    size = outfit.size
-    girth, trunk = top_girth(size, outfit.design), max(size.waist, size.hips)
+    size = garment.size
+    girth, trunk = top_girth(size, garment.design), max(size.waist, size.hips)
     if girth <= trunk:
         return None
     figures = f"a bottom of {girth:.1f} cm at the top on a trunk of {trunk:.1f} cm: narrow its band"
     return Reject("slides_off", figures, {"girth_cm": girth, "trunk_cm": trunk})
 
 
-def loose_gathers(outfit: DrawnGarment) -> Reject | None:
+def loose_gathers(garment: DrawnGarment) -> Reject | None:
     """A gathered skirt without an upper has no waistband, or a waistband wider than the body."""
-    design = outfit.design
+    design = garment.design
     if not _is_bottom_alone(design) or not is_gathered(design) or has_snug_band(design):
         return None
     gathers = top_parameter(design, "gather_parameter")
@@ -127,9 +126,9 @@ def loose_gathers(outfit: DrawnGarment) -> Reject | None:
     return Reject("loose_gathers", f"gathers of {gathers:.2f} hang from no snug waistband", {"gathers": gathers})
 
 
-def too_heavy(outfit: DrawnGarment) -> Reject | None:
+def too_heavy(garment: DrawnGarment) -> Reject | None:
     """A flared skirt without an upper is long or wide, and has no firm band."""
-    design = outfit.design
+    design = garment.design
     if not _is_bottom_alone(design) or not is_flared(design) or has_firm_band(design):
         return None
     length, suns = bottom_length(design), top_parameter(design, "fullness_parameter")
@@ -139,9 +138,9 @@ def too_heavy(outfit: DrawnGarment) -> Reject | None:
     return Reject("too_heavy", figures, {"length": length, "suns": suns})
 
 
-def tight_cuff(outfit: DrawnGarment) -> Reject | None:
+def tight_cuff(garment: DrawnGarment) -> Reject | None:
     """A sleeve's end or the cuff of a leg is too narrow for the limb inside it, even stretched by ``CLOTH_GIVES``."""
-    size, design = outfit.size, outfit.design
+    size, design = garment.size, garment.design
     if has_tight_cuffs(size, design):
         cuff, leg = cuff_and_leg_girth(size, design)
         figures = f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len"
@@ -155,46 +154,46 @@ def tight_cuff(outfit: DrawnGarment) -> Reject | None:
     return None
 
 
-def too_tight(outfit: DrawnGarment) -> Reject | None:
+def too_tight(garment: DrawnGarment) -> Reject | None:
     """A ring of cloth round trunk or legs is narrower than the body inside it, by more than cloth stretches."""
-    ring = tightest_ring(outfit.size, outfit.design)
+    ring = tightest_ring(garment.size, garment.design)
     if ring is None or ring.stretch <= CLOTH_GIVES:
         return None
     figures = f"{ring.name} of {ring.cloth:.1f} cm round {ring.body:.1f} cm of body: {ring.remedy}"
     return Reject("too_tight", figures, {"ring_cm": ring.cloth, "body_cm": ring.body})
 
 
-def overloaded_straps(outfit: DrawnGarment) -> Reject | None:
-    """The shoulder seams stretch under the weight of the outfit by more than ``STRAPS_GIVE``."""
-    stretch = strap_stretch(outfit.size, outfit.design)
+def overloaded_straps(garment: DrawnGarment) -> Reject | None:
+    """The shoulder seams stretch under the weight of the garment by more than ``STRAPS_GIVE``."""
+    stretch = strap_stretch(garment.size, garment.design)
     if stretch <= STRAPS_GIVE:
         return None
     figures = f"the weight stretches the shoulder seams to {stretch:.2f} times their length: shorten the bottom"
     return Reject("overloaded_straps", figures, {"stretch": stretch})
 
 
-def overloaded_hips(outfit: DrawnGarment) -> Reject | None:
+def overloaded_hips(garment: DrawnGarment) -> Reject | None:
     """A skirt alone, or a strapless dress, is heavier than friction on the hips holds: see ``hip_load``."""
-    load = hip_load(outfit.size, outfit.design)
+    load = hip_load(garment.size, garment.design)
     if load is None or not load.slides:
         return None
     figures = f"{load.cloth:.2f} m² of cloth on hips that hold {load.held:.2f} m²: shorten the bottom"
     return Reject("overloaded_hips", figures, {"cloth_m2": load.cloth, "held_m2": load.held})
 
 
-def narrow_shoulder(outfit: DrawnGarment) -> Reject | None:
+def narrow_shoulder(garment: DrawnGarment) -> Reject | None:
     """A shoulder seam is shorter than ``shortest_shoulder``."""
-    least = shortest_shoulder(outfit.size)
-    panel, length = min(_shoulder_seams(outfit.pattern), key=lambda seam: seam[1], default=("", least))
+    least = shortest_shoulder(garment.size)
+    panel, length = min(_shoulder_seams(garment.pattern), key=lambda seam: seam[1], default=("", least))
     if length >= least:
         return None
     figures = f"panel {panel}: a shoulder seam of {length:.1f} cm, under {least:.1f} cm: lower collar.width"
     return Reject("narrow_shoulder", figures, {"shoulder_cm": length})
 
 
-def mismatched_seam(outfit: DrawnGarment) -> Reject | None:
+def mismatched_seam(garment: DrawnGarment) -> Reject | None:
     """The sides of a seam differ in length without gathers, or by more than gathers allow."""
-    for sewn in outfit.joins:
+    for sewn in garment.joins:
         if is_mismatched(sewn):
             one, other = (f"{side[0].panel} {side[0].edge}" for side in (sewn.join.left, sewn.join.right))
             figures = f"{sewn.left_length:.1f} cm of {one} on {sewn.right_length:.1f} cm of {other}"
@@ -202,10 +201,10 @@ def mismatched_seam(outfit: DrawnGarment) -> Reject | None:
     return None
 
 
-def sharp_corner(outfit: DrawnGarment) -> Reject | None:
+def sharp_corner(garment: DrawnGarment) -> Reject | None:
     """A panel has a corner under ``SHARPEST_CORNER``."""
-    panels = outfit.pattern.panels
-    angles = corner_angles(outfit.hulls)
+    panels = garment.pattern.panels
+    angles = corner_angles(garment.hulls)
     if angles.min() >= SHARPEST_CORNER:
         return None
     corners = [(panel.name, edge) for panel in panels for edge in range(len(panel.edges))]
@@ -214,11 +213,11 @@ def sharp_corner(outfit: DrawnGarment) -> Reject | None:
     return Reject("sharp_corner", figures, {"angle_deg": float(angles.min())})
 
 
-def narrow_strap(outfit: DrawnGarment) -> Reject | None:
+def narrow_strap(garment: DrawnGarment) -> Reject | None:
     """A neckline comes nearer to an armhole than ``NARROWEST_STRAP``."""
     narrow = [
         panel
-        for panel, hulls in zip(outfit.pattern.panels, outfit.hulls, strict=True)
+        for panel, hulls in zip(garment.pattern.panels, garment.hulls, strict=True)
         if has_narrow_strap(panel, hulls)
     ]
     if not narrow:
@@ -229,19 +228,19 @@ def narrow_strap(outfit: DrawnGarment) -> Reject | None:
     return Reject("narrow_strap", figures, {"width_cm": width})
 
 
-def short_edge(outfit: DrawnGarment) -> Reject | None:
+def short_edge(garment: DrawnGarment) -> Reject | None:
     """An edge is too short to mesh and sew."""
-    return _fault(outfit, "short_edge", lambda rule: rule is Rule.SHORT_EDGE)
+    return _fault(garment, "short_edge", lambda rule: rule is Rule.SHORT_EDGE)
 
 
-def self_crossing(outfit: DrawnGarment) -> Reject | None:
+def self_crossing(garment: DrawnGarment) -> Reject | None:
     """The outline of a panel crosses itself."""
-    return _fault(outfit, "self_crossing", lambda rule: rule is Rule.SELF_CROSSING)
+    return _fault(garment, "self_crossing", lambda rule: rule is Rule.SELF_CROSSING)
 
 
-def unsewable(outfit: DrawnGarment) -> Reject | None:
+def unsewable(garment: DrawnGarment) -> Reject | None:
     """Any other error of ``check_pattern``."""
-    return _fault(outfit, "unsewable", lambda rule: rule is not Rule.SELF_CROSSING and rule.severity is Severity.ERROR)
+    return _fault(garment, "unsewable", lambda rule: rule is not Rule.SELF_CROSSING and rule.severity is Severity.ERROR)
 
 
 RULES: tuple[Callable[[DrawnGarment], Reject | None], ...] = (
@@ -288,12 +287,12 @@ def top_girth(size: Measurements, design: GarmentDesign) -> float:
 
 
 def has_snug_band(design: GarmentDesign) -> bool:
-    """Whether the outfit has a snug band: no wider than the body."""
+    """Whether the garment has a snug band: no wider than the body."""
     return design.meta.wb is not None and design.waistband.waist <= 1
 
 
 def has_firm_band(design: GarmentDesign) -> bool:
-    """Whether the outfit has a firm band: snug, and high enough to hold a heavy skirt."""
+    """Whether the garment has a firm band: snug, and high enough to hold a heavy skirt."""
     return has_snug_band(design) and design.waistband.width > FIRM_BAND
 
 
@@ -342,7 +341,7 @@ def has_tight_cuffs(size: Measurements, design: GarmentDesign) -> bool:
     """Whether the cuffs of trousers are too tight for the legs."""
     try:
         cuff, leg = cuff_and_leg_girth(size, design)
-    except PatternError:  # drawing the outfit reports it
+    except PatternError:  # drawing the garment reports it
         return False
     return cuff * CLOTH_GIVES < leg
 
@@ -361,7 +360,7 @@ def is_too_tight(size: Measurements, design: GarmentDesign) -> bool:
     """Whether a ring of cloth round the trunk is too tight."""
     try:
         return any(ring.stretch > CLOTH_GIVES for ring in trunk_rings(size, design))
-    except PatternError:  # drawing the outfit reports it
+    except PatternError:  # drawing the garment reports it
         return False
 
 
@@ -372,23 +371,23 @@ def has_tight_bottom(size: Measurements, design: GarmentDesign) -> bool:
     try:
         rings = design.meta.bottom.garment.rings(size, design, bottom_rise(design))
         return any(ring.stretch > CLOTH_GIVES for ring in rings)
-    except PatternError:  # drawing the outfit reports it
+    except PatternError:  # drawing the garment reports it
         return False
 
 
 def broken_by_weight(size: Measurements, design: GarmentDesign) -> str:
-    """The rule that the weight of an outfit breaks; empty if it breaks none."""
+    """The rule that the weight of a garment breaks; empty if it breaks none."""
     try:
         load, stretch = hip_load(size, design), strap_stretch(size, design)
-    except PatternError:  # drawing the outfit reports it
+    except PatternError:  # drawing the garment reports it
         return ""
     if load is not None and load.slides:
         return "overloaded_hips"
     return "overloaded_straps" if stretch > STRAPS_GIVE else ""
 
 
-def _fault(outfit: DrawnGarment, name: str, selects: Callable[[Rule], bool]) -> Reject | None:
-    for fault in outfit.faults:
+def _fault(garment: DrawnGarment, name: str, selects: Callable[[Rule], bool]) -> Reject | None:
+    for fault in garment.faults:
         if selects(fault.rule):
             return Reject(name, str(fault))
     return None

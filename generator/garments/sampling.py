@@ -1,4 +1,4 @@
-"""Random designs: each parameter by GarmentCode's rule, within limits that keep the outfit wearable.
+"""Random designs: each parameter by GarmentCode's rule, within limits that keep the garment wearable.
 
 Each parameter keeps its default with its ``keep`` probability, and is uniform over its range otherwise: the draft. A
 value outside the limits set by the rest of the design and by the wearers' measures is drawn again within them
@@ -38,9 +38,8 @@ from gcd_dataset.generator.garments.design import (
 )
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
-from gcd_dataset.generator.garments.redrawing import DrawnDesign, Redraw
 from gcd_dataset.generator.garments.space import DesignSpace, draw, with_new_numbers
-from gcd_dataset.generator.garments.wearable import wearable
+from gcd_dataset.generator.garments.wearable import DrawnDesign, Redraw, wearable
 from gcd_dataset.records import Measurements
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as stream
@@ -66,7 +65,7 @@ def sample_draft(
     overlay: Overlay = NO_OVERLAY,
     narrow: Callable[[Choice], Choice] | None = None,
 ) -> GarmentDesign:
-    """A random outfit by the declared distributions alone, which may be impossible to sew or wear.
+    """A random garment by the declared distributions alone, which may be impossible to sew or wear.
 
     ``narrow``: maps the uppers and the bottoms to those that are drawn from.
     """
@@ -85,7 +84,7 @@ def sample_design(
     kind: Kind | None = None,
     overlay: Overlay = NO_OVERLAY,
 ) -> GarmentDesign:
-    """A random outfit that all ``wearers`` (by default the neutral body) can most likely wear."""
+    """A random garment that all ``wearers`` (by default the neutral body) can most likely wear."""
     sizes = tuple(wearers) or (_neutral(),)
     draft, _ = _held_up(sample_draft(rng, kind=kind, overlay=overlay), sizes, rng, overlay)
     return wearable(draft, sizes, rng, overlay.space).design
@@ -125,14 +124,13 @@ def attempted_design(
     """
     draft, rng = drafted_design(seed, number, attempt, overlay), stream(seed, number, Stage.DESIGN, attempt)
     if attempt % SAME_CHOICES:
-        draft = _with_new_numbers(draft, rng, overlay)
+        spaces = {name: space for name, space in _sections(overlay).items() if name in draft.sections_used()}
+        redrawn = {name: with_new_numbers(space, getattr(draft, name), rng) for name, space in spaces.items()}
+        draft = replace(draft, **redrawn)
     sizes = tuple(wearers)
     draft, redraws = _held_up(draft, sizes, rng, overlay)
     drawn = wearable(draft, sizes, rng, overlay.space)
     return drawn if not redraws else replace(drawn, redraws={**redraws, **drawn.redraws})
-
-
-# ---------------------------------------------------------------------------------------------------------------- parts
 
 
 def _meta(
@@ -174,7 +172,8 @@ def _held_up(
         return draft, {}
     replaced = replace(draft, meta=replace(meta, bottom=bottoms.narrowed(trousers).draw(rng)))
     replaced = _with_sections(replaced, _own_sections(replaced) - {"waistband"}, rng, overlay)
-    replaced = _without_sections(replaced, draft.sections_used() - replaced.sections_used())
+    default, unused = GarmentDesign(), draft.sections_used() - replaced.sections_used()
+    replaced = replace(replaced, **{name: getattr(default, name) for name in unused})
     return replaced, {Redraw("nothing_holds", "meta.bottom"): 1}
 
 
@@ -194,18 +193,6 @@ def _with_sections(
 ) -> GarmentDesign:
     """The design with some of its sections drawn, in the order of the fields."""
     return replace(design, **{name: draw(space, rng) for name, space in _sections(overlay).items() if name in names})
-
-
-def _without_sections(design: GarmentDesign, names: Collection[str]) -> GarmentDesign:
-    """The design with the defaults of some of its sections."""
-    default = GarmentDesign()
-    return replace(design, **{name: getattr(default, name) for name in names})
-
-
-def _with_new_numbers(design: GarmentDesign, rng: np.random.Generator, overlay: Overlay) -> GarmentDesign:
-    """The design with the numbers of the sections that it uses drawn again."""
-    spaces = {name: space for name, space in _sections(overlay).items() if name in design.sections_used()}
-    return replace(design, **{name: with_new_numbers(spaces[name], getattr(design, name), rng) for name in spaces})
 
 
 @cache

@@ -13,15 +13,15 @@ from gcd_dataset.crossings import edge_hulls, find_crossings
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import LARGEST, SHORTEST_EDGE
+from gcd_dataset.generator.garments.assembly import bottom, upper
 from gcd_dataset.generator.garments.cuff import arm_girth_in_end
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS
 from gcd_dataset.generator.garments.neckline import NecklineDesign, neckline_width, neckline_width_parameter
-from gcd_dataset.generator.garments.outfit import bottom, upper
+from gcd_dataset.generator.garments.shirt import UpperHalf, armhole_from_centre, right_half, right_torso
 from gcd_dataset.generator.garments.sleeve import sleeve_of
 from gcd_dataset.generator.garments.upper import Shirt
-from gcd_dataset.generator.garments.upper_half import UpperHalf, armhole_from_centre, right_half, right_torso
-from gcd_dataset.generator.pattern import Component, MeasuredJoin, Piece, measure_joins, panel_of
+from gcd_dataset.generator.pattern import Component, MeasuredJoin, measure_joins, panel_of
 from gcd_dataset.records import Measurements, Panel
 
 CLOTH_OFF_SKIN = 0.35  # cm between skin and cloth in a drape, ``DrapeConfig.body_gap``
@@ -39,7 +39,7 @@ TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly abo
 
 
 class SewingFault(NamedTuple):
-    """The first reason why a part of an outfit cannot be sewn or worn."""
+    """The first reason why a part of a garment cannot be sewn or worn."""
 
     rule: str
     """Name of the rule in ``rules.py``."""
@@ -103,9 +103,10 @@ def widest_neckline(size: Measurements, design: GarmentDesign, half: UpperHalf) 
         if room / cos(size.shoulder_incl) > shortest_shoulder(size) + SHOULDER_TOLERANCE:
             return inf
         drawn = right_torso(size, *half, fitted=fitted, mends=ALL_MENDS)
-    except PatternError:  # drawing the outfit reports it
+    except PatternError:  # drawing the garment reports it
         return inf
-    missing = shortest_shoulder(size) + ROUNDING - min(map(_shoulder_length, drawn.pieces))
+    seams = ([edge.length for edge in piece.outline.strokes if edge.name == "shoulder"] for piece in drawn.pieces)
+    missing = shortest_shoulder(size) + ROUNDING - min(sum(parts) or inf for parts in seams)
     if missing <= ROUNDING:
         return inf
     return neckline_width_parameter(size, neckline_width(size, neck) - 2 * missing * cos(size.shoulder_incl))
@@ -115,11 +116,6 @@ def shortest_shoulder(size: Measurements) -> float:
     """The least length of a shoulder seam for a wearer [cm]."""
     beside_neck = 0.5 * (size.sleeve_balance - size.neck_w) / cos(size.shoulder_incl)
     return min(SHORTEST_SHOULDER, SHOULDER_SHARE * beside_neck)
-
-
-def _shoulder_length(piece: Piece) -> float:
-    """Length of a piece's shoulder edge [cm]; infinite without one."""
-    return sum(stroke.length for stroke in piece.outline.strokes if stroke.name == "shoulder") or inf
 
 
 def bottom_fault(size: Measurements, design: GarmentDesign) -> SewingFault | None:
@@ -138,7 +134,7 @@ def _is_fitted(design: GarmentDesign) -> bool:
 
 
 def _sewing_fault(draw: Callable[[], Component]) -> SewingFault | None:
-    """The first fault of a part of an outfit: in drawing, in the match of its seams, or in a panel."""
+    """The first fault of a part of a garment: in drawing, in the match of its seams, or in a panel."""
     try:
         drawn = draw()
         panels = [panel_of(piece) for piece in drawn.pieces]
@@ -179,13 +175,9 @@ def has_narrow_strap(panel: Panel, hulls: Complex[np.ndarray, "e 4"]) -> bool:
         return False
     neck, armhole = (hulls[[name == wanted for name in names]].ravel() for wanted in ("neck", "armhole"))
     # Each edge lies within its hull: hulls this far apart need no sampling.
-    return _gap(neck, armhole) <= NARROWEST_STRAP + ROUNDING and strap_width(panel) < NARROWEST_STRAP
-
-
-def _gap(one: Complex[np.ndarray, " n"], other: Complex[np.ndarray, " m"]) -> float:
-    """Lower bound of the distance between the convex hulls of two sets of points [cm]: the widest separating strip."""
-    a, b = ((DIRECTIONS * points).real for points in (one, other))
-    return float(np.maximum(a.min(axis=1) - b.max(axis=1), b.min(axis=1) - a.max(axis=1)).max())
+    a, b = ((DIRECTIONS * points).real for points in (neck, armhole))
+    strip = np.maximum(a.min(axis=1) - b.max(axis=1), b.min(axis=1) - a.max(axis=1)).max()  # the widest that separates
+    return bool(strip <= NARROWEST_STRAP + ROUNDING) and strap_width(panel) < NARROWEST_STRAP
 
 
 def strap_width(panel: Panel) -> float:

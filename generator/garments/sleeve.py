@@ -1,7 +1,6 @@
 """Sleeves: panels ``right_sleeve_f`` and ``right_sleeve_b``; the left sleeve is a mirrored right sleeve."""
 
 from bisect import bisect_left
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import lru_cache
@@ -35,28 +34,15 @@ def armhole(kind: Armhole, width: float, depth: float, *, corner: float) -> tupl
 
     ``corner``: position of the corner of an angled armhole, as a fraction of its width and height.
     """
-    drawn = DRAWINGS[kind](width, depth, corner)
+    start = Outline.start(0, 0)
+    match kind:
+        case Armhole.SQUARE:
+            drawn = start.line(width, 0).line(width, depth)
+        case Armhole.ANGLE:
+            drawn = start.line((1 - corner) * width, corner * depth).line(width, depth)
+        case Armhole.CURVE:
+            drawn = start.curve(width, depth, CURVE)
     return tuple(replace(stroke, name="armhole", label=EdgeRole.RIGHT_ARMHOLE) for stroke in drawn.strokes)
-
-
-def _square(width: float, depth: float, corner: float) -> Outline:
-    return Outline.start(0, 0).line(width, 0).line(width, depth)
-
-
-def _angle(width: float, depth: float, corner: float) -> Outline:
-    return Outline.start(0, 0).line((1 - corner) * width, corner * depth).line(width, depth)
-
-
-def _curve(width: float, depth: float, corner: float) -> Outline:
-    return Outline.start(0, 0).curve(width, depth, CURVE)
-
-
-DRAWINGS: Mapping[Armhole, Callable[[float, float, float], Outline]] = {
-    Armhole.SQUARE: _square,
-    Armhole.ANGLE: _angle,
-    Armhole.CURVE: _curve,
-}
-"""Drawing functions of width [cm], depth [cm] and corner."""
 
 
 SHORTEST = 5.0  # cm of sleeve under the arm, GarmentCode
@@ -139,7 +125,8 @@ def sleeve_words(
 
     ``gathers``: of its cuff.
     """
-    noun, lengths = "sleeves" if pair else "sleeve", _length_words(design)
+    noun = "sleeves" if pair else "sleeve"
+    lengths = next((words for most, words in LENGTHS if design.length <= most), LONGEST)
     gathered = design.connect_ruffle >= RUFFLES
     into_cuff = design.cuff.type in (Cuff.BAND, Cuff.BAND_SKIRT) and gathers.limb >= RUFFLES
     if gathered and into_cuff and design.length <= ELBOW:
@@ -154,10 +141,6 @@ def sleeve_words(
     if design.standing_shoulder and rest > size.shoulder_incl + STANDING_FROM:
         return tuple(f"{phrase} with {'raised shoulders' if pair else 'a raised shoulder'}" for phrase in phrases)
     return phrases
-
-
-def _length_words(design: SleeveDesign) -> tuple[str, ...]:
-    return next((words for most, words in LENGTHS if design.length <= most), LONGEST)
 
 
 @lru_cache(maxsize=8)  # sampling draws it to measure its cuff, then the half draws it again
@@ -223,20 +206,17 @@ def _equalised(front: Stroke, back: Stroke, *, shortest: float) -> tuple[tuple[S
     front_under, back_under = front.start, _turned_over(back).start
     span = (back_under[0] - front_under[0], back_under[1] - front_under[1])
     tilt = atan2(span[0], span[1])
-    crease = _crease(front, back_under, span)
+    # The curve parameter of the front that is equally far from both underarm points: the root of a cubic.
+    middle = (0.5 * (front_under[0] + back_under[0]), 0.5 * (front_under[1] + back_under[1]))
+    p, q, r, s = ((x - middle[0]) * span[0] + (y - middle[1]) * span[1] for x, y in front.control_points())
+    roots = np.roots([s - 3 * r + 3 * q - p, 3 * (r - 2 * q + p), 3 * (q - p), p])
+    between = (float(root.real) for root in roots if abs(root.imag) < 1e-9 and 0 < root.real < 1)
+    crease = max(between, default=None)
     even = EVEN / front.length
     if crease is None or not even < crease < 1 - even or hypot(*front.at(crease)) < shortest:
         return (front.rotated(tilt),), (back.rotated(-tilt),)
     kept, surplus = front.split_at([crease])
     return (kept.rotated(tilt),), (back.rotated(-tilt), _turned_over(surplus.reversed()).rotated(-tilt))
-
-
-def _crease(front: Stroke, back_under: Point, span: Point) -> float | None:
-    """Curve parameter of the front opening that is equally far from both underarm points: the root of a cubic."""
-    middle = (0.5 * (front.start[0] + back_under[0]), 0.5 * (front.start[1] + back_under[1]))
-    p, q, r, s = ((x - middle[0]) * span[0] + (y - middle[1]) * span[1] for x, y in front.control_points())
-    roots = np.roots([s - 3 * r + 3 * q - p, 3 * (r - 2 * q + p), 3 * (q - p), p])
-    return max((float(root.real) for root in roots if abs(root.imag) < 1e-9 and 0 < root.real < 1), default=None)
 
 
 def _turned_over(stroke: Stroke) -> Stroke:
@@ -258,14 +238,10 @@ def _half(size: Measurements, design: SleeveDesign, name: str, opening: tuple[St
         .then(*(replace(stroke, name="opening") for stroke in chain_from((length, -height), *gathered)))
     )
     if design.standing_shoulder and rest > size.shoulder_incl + STANDING_FROM:
-        outline = _with_standing_shoulder(outline, design.standing_shoulder_len, rest - size.shoulder_incl)
+        (x, y), angle = outline.pen, rest - size.shoulder_incl  # continues the shoulder's slope towards the wrist
+        x, y = x - design.standing_shoulder_len * cos(angle), y + design.standing_shoulder_len * sin(angle)
+        outline = outline.line(x, y, name="upper")
     return Piece(name, outline.close(name="upper"))
-
-
-def _with_standing_shoulder(outline: Outline, length: float, angle: float) -> Outline:
-    """Add an edge from the shoulder towards the wrist that continues the shoulder's slope."""
-    x, y = outline.pen
-    return outline.line(x - length * cos(angle), y + length * sin(angle), name="upper")
 
 
 def _gathered(strokes: tuple[Stroke, ...], factor: float) -> tuple[Stroke, ...]:

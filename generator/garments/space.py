@@ -60,34 +60,33 @@ def _parameters(kind: type[Design]) -> tuple[tuple[str, Space], ...]:
     return tuple((entry.name, entry.metadata["space"]) for entry in fields(kind) if "space" in entry.metadata)
 
 
-def real(default: float, low: float, high: float, *, keep: float | None = None, key: str | None = None) -> Any:
-    """A number; ``key``: its name in design files, if different from the field's name."""
-    return _parameter(Real(default, keep, low, high), key)
+def real(default: float, low: float, high: float, *, keep: float | None = None) -> Any:
+    """A number."""
+    return _parameter(Real(default, keep, low, high))
 
 
-def integer(default: int, low: int, high: int, *, keep: float | None = None, key: str | None = None) -> Any:
+def integer(default: int, low: int, high: int, *, keep: float | None = None) -> Any:
     """A whole number, both ends included."""
-    return _parameter(Integer(default, keep, low, high), key)
+    return _parameter(Integer(default, keep, low, high))
 
 
 def choice(
     default: Enum | float | None,
     *options: Enum | float | None,
     keep: float | None = None,
-    key: str | None = None,
     weights: Sequence[int] = (),
 ) -> Any:
     """One of several options, enum members or numbers; ``None`` means none of them. ``weights``: see ``Choice``."""
-    return _parameter(Choice(default, keep, options, tuple(weights)), key)
+    return _parameter(Choice(default, keep, options, tuple(weights)))
 
 
-def flag(default: bool, *, keep: float | None = None, key: str | None = None) -> Any:
+def flag(default: bool, *, keep: float | None = None) -> Any:
     """Yes or no."""
-    return _parameter(Flag(default, keep, (True, False)), key)
+    return _parameter(Flag(default, keep, (True, False)))
 
 
 def part(kind: type[Design], *, key: str | None = None) -> Any:
-    """A design inside a design."""
+    """A design inside a design; ``key``: its name in design files, if different from the field's name."""
     return field(default_factory=kind, metadata={"part": kind, "key": key})
 
 
@@ -109,8 +108,8 @@ def with_parts(kinds: Mapping[str, type[Design]]) -> Callable[[type[P]], type[P]
     return extend
 
 
-def _parameter(space: Space, key: str | None) -> Any:
-    return field(default=space.default, metadata={"space": space, "key": key})
+def _parameter(space: Space) -> Any:
+    return field(default=space.default, metadata={"space": space})
 
 
 # --------------------------------------------------------------------------------------------------------- whole spaces
@@ -145,7 +144,12 @@ class DesignSpace(Generic[D]):
     @classmethod
     def declared(cls, kind: type[D]) -> "DesignSpace[D]":
         """The space declared by the fields of a design class."""
-        return cls(kind, tuple(FieldEntry(e.name, _key(e), _declared(e), "added" in e.metadata) for e in fields(kind)))
+        entries = []
+        for each in fields(kind):
+            inner = each.metadata.get("part")
+            space = cls.declared(inner) if inner else each.metadata["space"]
+            entries.append(FieldEntry(each.name, _key(each), space, "added" in each.metadata))
+        return cls(kind, tuple(entries))
 
     def of(self, kind: type[P]) -> "DesignSpace[P]":
         """The space of the part of this class. Raises ``ConfigError`` unless there is exactly one."""
@@ -283,10 +287,6 @@ def value_at(space: DesignSpace[Any], design: Any, path: str) -> Any:
 
 def _space(kind: type[D] | DesignSpace[D]) -> DesignSpace[D]:
     return kind if isinstance(kind, DesignSpace) else DesignSpace.declared(kind)
-
-
-def _declared(entry: Any) -> Space | DesignSpace[Any]:
-    return DesignSpace.declared(entry.metadata["part"]) if "part" in entry.metadata else entry.metadata["space"]
 
 
 def _key(entry: Any) -> str:

@@ -1,12 +1,14 @@
 """Girths of the trunk between hips and waist, for bottoms and waistbands."""
 
 from math import tan
+from typing import NamedTuple
 
 import numpy as np
 
 from gcd_dataset.generator.garments.mends import Mend, folds
 from gcd_dataset.records import Measurements
 
+OUTER_DART = 0.9  # outer over inner dart leg of a back, GarmentCode
 LEAST_ABOVE_HIPS = 1.0  # cm of a fitted bottom above the hips, under a waistband that reaches down to them
 
 LEGS_LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # heights as fractions of floor to hips
@@ -62,6 +64,54 @@ def sides_and_darts(
     if folds((excess - lean) / darts, mends):
         return excess, 0.0
     return lean, excess - lean
+
+
+class WaistDart(NamedTuple):
+    """A dart in the top of a quarter [cm]."""
+
+    name: str
+    width: float
+    leg: float
+    from_centre: float
+    """Distance of the dart's middle from the centre, along the top."""
+
+
+class Quarter(NamedTuple):
+    """Half of the front or of the back of a bottom that darts fit to the body [cm]."""
+
+    hips: float
+    height: float
+    """Height from the hips to the top."""
+    waist: float
+    """Width of the body at the top."""
+    lean: float
+    """Horizontal distance by which the side leans in from hips to top; the darts take in the rest."""
+    darts: tuple[WaistDart, ...]
+    """From the centre outwards."""
+    crotch: float = 0.0
+    """Extent of the crotch beyond the centre."""
+
+
+def front_quarter(size: Measurements, rise: float, mends: frozenset[Mend], *, leg: float) -> Quarter:
+    """The front, with one dart below the bust point; ``leg``: dart leg over height."""
+    hips, waist = 0.5 * (size.hips - size.hip_back_width), 0.5 * (girth_at_rise(size, rise) - back_at_rise(size, rise))
+    height = rise * size.hips_line
+    lean, taken = sides_and_darts(size, hips - waist, height, darts=1, mends=mends)
+    single = WaistDart("dart", taken, leg * height, 0.5 * (size.bust_points + taken))
+    return Quarter(hips, height, waist, lean, (single,) if taken else ())
+
+
+def back_quarter(size: Measurements, rise: float, mends: frozenset[Mend], *, raise_: float, leg: float) -> Quarter:
+    """The back, with two darts, one on either side of the fullest point.
+
+    ``raise_``: height from hips to top behind over the height in front; ``leg``: length of the inner dart leg [cm].
+    """
+    hips, waist = 0.5 * size.hip_back_width, 0.5 * back_at_rise(size, rise)
+    height, point = raise_ * rise * size.hips_line, 0.5 * size.bum_points
+    lean, taken = sides_and_darts(size, hips - waist, height, darts=2, mends=mends)
+    inner = WaistDart("inner_dart", 0.5 * taken, leg, 0.75 * point + 0.25 * taken)
+    outer = WaistDart("outer_dart", 0.5 * taken, OUTER_DART * leg, 1.25 * point + 0.75 * taken)
+    return Quarter(hips, height, waist, lean, (inner, outer) if taken else ())
 
 
 def waist_front(size: Measurements) -> float:

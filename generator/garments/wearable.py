@@ -1,19 +1,23 @@
 """Make drafts wearable: apply limits first, then remedies for faults in sewing or fit.
 
-Each step redraws as few parameters as it can, and counts them; ``rules.py`` rejects designs with remaining faults.
+A parameter outside a limit is drawn again within the limit. For a fault that no limit describes, remedies are tried in
+order: each draws one parameter, or some parts of the design, again and leaves the others as they are. Each redraw is
+counted with its rule and its parameter; ``rules.py`` rejects designs with remaining faults.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import chain
 from math import inf
-from typing import Literal
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.design import GarmentDesign, MetaDesign, choice_of
-from gcd_dataset.generator.garments.outfit import bottom_rise
-from gcd_dataset.generator.garments.redrawing import TRIES, DrawnDesign, Redraw, Redrawing, Remedy
+from gcd_dataset.generator.garments.garment import GarmentChoice
 from gcd_dataset.generator.garments.rules import (
     FIRM_BAND,
     LIGHT_LENGTH,
@@ -42,9 +46,118 @@ from gcd_dataset.generator.garments.sewable import (
     widest_neckline,
 )
 from gcd_dataset.generator.garments.skirt import SHORTEST
-from gcd_dataset.generator.garments.space import DesignSpace, value_at
+from gcd_dataset.generator.garments.space import Design, DesignSpace, redrawn, value_at, with_value
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.records import Measurements
+
+TRIES = 4  # redraws by one remedy
+MOST_REPAIRS = 10  # removed faults of a design: removing one may cause another
+
+FindFault: TypeAlias = Callable[[GarmentDesign], SewingFault | None]
+"""Returns the first fault of a design, or ``None``."""
+
+
+class Redraw(NamedTuple):
+    """The reason for a redraw, and the path of the parameter or part drawn again."""
+
+    rule: str
+    path: str
+
+
+class Remedy(NamedTuple):
+    """A parameter, or parts of a design, to draw again."""
+
+    paths: tuple[str, ...]
+    low: bool = False
+    """Whether each redraw must give a lower number than the last."""
+    high: bool = False
+    """Whether each redraw must give a higher number than the last."""
+
+
+@dataclass(frozen=True)
+class DrawnDesign:
+    """A random design, and the number of each of its redraws."""
+
+    design: GarmentDesign
+    redraws: Mapping[Redraw, int]
+
+    def by_rule(self) -> Counter[str]:
+        """Rule to the number of redraws that it caused."""
+        total: Counter[str] = Counter()
+        for redraw, count in self.redraws.items():
+            total[redraw.rule] += count
+        return total
+
+
+@dataclass(frozen=True)
+class Redrawing:
+    """Draws parameters of a design again and counts the redraws."""
+
+    rng: np.random.Generator
+    space: DesignSpace[GarmentDesign]
+    counts: Counter[Redraw] = field(default_factory=Counter)
+
+    def again(
+        self, design: GarmentDesign, rule: str, *paths: str, low: float = -np.inf, high: float = np.inf
+    ) -> GarmentDesign:
+        """The design with the parameters or parts at some paths drawn again, between ``low`` and ``high``.
+
+        A part keeps its choices of garments, such as the base of a levels skirt: another garment has another section.
+        """
+        for path in paths:
+            values = value_at(self.space, design, path)
+            values = vars(values) if isinstance(values, Design) else {}
+            garments = {name: value for name, value in values.items() if isinstance(value, GarmentChoice)}
+            design = redrawn(self.space, design, path, self.rng, low, high)
+            if garments:
+                design = with_value(self.space, design, path, replace(value_at(self.space, design, path), **garments))
+            self.counts[Redraw(rule, path)] += 1
+        return design
+
+    def within(self, design: GarmentDesign, rule: str, path: str, low: float, high: float) -> GarmentDesign:
+        """The design; if the number at ``path`` is outside its limits, with this number drawn again within them."""
+        if low <= value_at(self.space, design, path) <= high:
+            return design
+        return self.again(design, rule, path, low=low, high=high)
+
+    def tried(self, design: GarmentDesign, rule: str, remedy: Remedy) -> Iterator[GarmentDesign]:
+        """Up to ``TRIES`` designs, each the last one with the remedy applied again; unchanged designs are left out."""
+        trial = design
+        for _ in range(TRIES):
+            low, high = -np.inf, np.inf
+            if remedy.low or remedy.high:
+                last = value_at(self.space, trial, remedy.paths[0])
+                # Strictly beyond: a default equal to the last value would be kept with its probability.
+                low, high = (low, np.nextafter(last, -np.inf)) if remedy.low else (np.nextafter(last, np.inf), high)
+            trial = self.again(design, rule, *remedy.paths, low=low, high=high)
+            if trial != design:
+                yield trial
+
+    def repaired(
+        self,
+        design: GarmentDesign,
+        find: FindFault,
+        remedies: Callable[[SewingFault], Sequence[Remedy]],
+        *,
+        limited: Callable[[GarmentDesign], GarmentDesign] = lambda design: design,
+    ) -> GarmentDesign:
+        """The design without faults; if no remedy helps, with the fault that no remedy could remove.
+
+        ``limited`` puts a design with new parameters back within its limits.
+        """
+        fault = find(design)
+        for _ in range(MOST_REPAIRS):
+            if fault is None:
+                break
+            trials = chain.from_iterable(self.tried(design, fault.rule, remedy) for remedy in remedies(fault))
+            found = ((trial, find(trial)) for trial in map(limited, trials))
+            others = (pair for pair in found if pair[1] is None or pair[1].part != fault.part)
+            design, left = next(others, (design, fault))
+            if left is fault:
+                break
+            fault = left
+        return design
+
 
 # A shirt with a band or bottom sewn to its hem ends near the waist, where both have about the same girth.
 JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length for such a shirt
@@ -54,29 +167,26 @@ TRUNK = "trunk"  # the part at fault where cloth is too tight or too heavy for t
 FLARED_CUFF = "sl_right_cuff_skirt_f"
 
 
-def _remedy(path: str) -> Remedy:
-    """The remedy for a path, which may end in ``-`` or ``+``: see ``BottomGarment.remedies``."""
-    return Remedy((path.rstrip("+-"),), low=path.endswith("-"), high=path.endswith("+"))
-
-
 def _remedies(*paths: str) -> tuple[Remedy, ...]:
-    return tuple(map(_remedy, paths))
+    """The remedies for paths, which may end in ``-`` or ``+``: see ``BottomGarment.remedies``."""
+    return tuple(Remedy((path.rstrip("+-"),), low=path.endswith("-"), high=path.endswith("+")) for path in paths)
 
 
-SHIRT_REMEDIES: Mapping[str, tuple[Remedy, ...]] = {
-    "right_ftorso": _remedies("collar.fc_depth-", "collar.f_collar", "collar.width"),
-    "right_btorso": _remedies("collar.bc_depth-", "collar.b_collar", "collar.width"),
-    FLARED_CUFF: _remedies("sleeve.cuff.skirt_flare-", "sleeve.cuff.cuff_len+"),
-    "": _remedies("shirt.flare-", "collar.width", "shirt.width"),
-}
-"""Panel at fault of a shirt's right half to the remedies; the empty name: a seam does not match or drawing fails."""
-LEFT_REMEDIES: Mapping[str, tuple[Remedy, ...]] = {
-    "right_ftorso": _remedies("collar.fc_depth-", "left.collar.f_collar", "left.collar.width"),
-    "right_btorso": _remedies("collar.bc_depth-", "left.collar.b_collar", "left.collar.width"),
-    FLARED_CUFF: _remedies("left.sleeve.cuff.skirt_flare-", "left.sleeve.cuff.cuff_len+"),
-    "": _remedies("left.shirt.flare-", "left.collar.width", "left.shirt.width"),
-}
-"""The same for the left half of an asymmetric shirt."""
+def _half_remedies(half: str) -> Mapping[str, tuple[Remedy, ...]]:
+    """Panel at fault of a shirt's half to the remedies; the empty name: a seam does not match or drawing fails.
+
+    Both halves of a neckline have the same depth.
+    """
+    return {
+        "right_ftorso": _remedies("collar.fc_depth-", f"{half}collar.f_collar", f"{half}collar.width"),
+        "right_btorso": _remedies("collar.bc_depth-", f"{half}collar.b_collar", f"{half}collar.width"),
+        FLARED_CUFF: _remedies(f"{half}sleeve.cuff.skirt_flare-", f"{half}sleeve.cuff.cuff_len+"),
+        "": _remedies(f"{half}shirt.flare-", f"{half}collar.width", f"{half}shirt.width"),
+    }
+
+
+SHIRT_REMEDIES, LEFT_REMEDIES = _half_remedies(""), _half_remedies(LEFT)
+"""For the right half of a shirt, and for the left half of an asymmetric one."""
 WHOLE_SHIRT = tuple(map(Remedy, (("collar",), ("sleeve", "collar"), ("shirt", "sleeve", "collar"))))
 WHOLE_LEFT = tuple(map(Remedy, (("left.collar",), ("left.shirt", "left.sleeve", "left.collar"))))
 
@@ -124,7 +234,9 @@ class _Fitting:
             design = self._with_wide_ends(limited(design))
             return self.redrawing.repaired(design, self._shirt_fault, _shirt_remedies, limited=limited)
         section = Remedy((garment.section,))
-        return self.redrawing.repaired(design, self._upper_fault, lambda fault: (section,))
+        return self.redrawing.repaired(
+            design, lambda trial: _first(upper_fault(size, trial) for size in self.sizes), lambda fault: (section,)
+        )
 
     def _with_wide_ends(self, design: GarmentDesign) -> GarmentDesign:
         """The design with sleeves whose ends are wide enough for the arms."""
@@ -154,9 +266,6 @@ class _Fitting:
             if fault is not None:
                 return SewingFault(fault.rule, prefix + fault.part)
         return None
-
-    def _upper_fault(self, design: GarmentDesign) -> SewingFault | None:
-        return _first(upper_fault(size, design) for size in self.sizes)
 
     def _with_shoulders(self, design: GarmentDesign) -> GarmentDesign:
         """The design with an allowed shirt length, and with necklines that leave room for shoulder seams."""
@@ -205,18 +314,14 @@ class _Fitting:
                 fitting = self.redrawing.again(
                     fitting, "too_tight", "shirt.length", low=min(shorter, JOINED_SHIRT[0]), high=shorter
                 )
-            else:
-                fitting = self._with_wider_hem(fitting)
+            else:  # more flare in the half that has less
+                flares = [half[0].flare for half in fitting.halves()]
+                least = int(np.argmin(flares))
+                path, low = ("", LEFT)[least] + "shirt.flare", float(np.nextafter(flares[least], inf))
+                fitting = self.redrawing.again(fitting, "too_tight", path, low=low)
         if fitting is design:
             return design
         return self.redrawing.repaired(fitting, self._shirt_fault, _shirt_remedies, limited=self._with_shoulders)
-
-    def _with_wider_hem(self, design: GarmentDesign) -> GarmentDesign:
-        """The design with more flare in the half that has less."""
-        flares = [half[0].flare for half in design.halves()]
-        least = int(np.argmin(flares))
-        path = ("shirt.flare", "left.shirt.flare")[least]
-        return self.redrawing.again(design, "too_tight", path, low=float(np.nextafter(flares[least], inf)))
 
     def _is_tight(self, design: GarmentDesign) -> bool:
         return any(is_too_tight(size, design) for size in self.sizes)
@@ -247,31 +352,29 @@ class _Fitting:
         )
 
     def _hanging_in_place(self, design: GarmentDesign) -> GarmentDesign:
-        return self._without_heavy_flare(self._above_floor(self._below_band(self._with_snug_band(design))))
+        """The design with a bottom that suits its band, as long as declared, above the floor, light if it flares."""
+        design = self._with_snug_band(design)
+        path, rise = _length_path(design), bottom_rise(design)
+        # No skirt is drawn shorter than ``SHORTEST``, its waistband left out; lengths are fractions of hips to floor.
+        least = max((SHORTEST - rise * size.hips_line) / size.leg_length for size in self.sizes)
+        design = self.redrawing.within(design, "short_skirt", path, least, inf)
+        excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
+        if excess > 0:
+            design = self.redrawing.within(design, "reaches_floor", path, least, bottom_length(design) - excess)
+        if design.meta.upper or not is_flared(design) or has_firm_band(design):
+            return design
+        design = self.redrawing.within(design, "too_heavy", path, least, LIGHT_LENGTH)
+        return self._with_top_within(design, "fullness_parameter", -np.inf, LIGHT_SUNS, rule="too_heavy")
 
     def _bottom_fault(self, design: GarmentDesign) -> SewingFault | None:
         if any(has_tight_cuffs(size, design) for size in self.sizes):
             return SewingFault("tight_cuff", "cuff")
         if any(has_tight_bottom(size, design) for size in self.sizes):
             return SewingFault("too_tight", "ring")
-        return None if _is_plain(design) else _first(bottom_fault(size, design) for size in self.sizes)
-
-    def _below_band(self, design: GarmentDesign) -> GarmentDesign:
-        """The design with a bottom of its declared length: no skirt is drawn shorter than ``SHORTEST``."""
-        return self.redrawing.within(design, "short_skirt", _length_path(design), self._least_length(design), inf)
-
-    def _least_length(self, design: GarmentDesign) -> float:
-        """The ``length`` at which a skirt is ``SHORTEST``, its waistband left out."""
-        rise = bottom_rise(design)
-        return max((SHORTEST - rise * size.hips_line) / size.leg_length for size in self.sizes)
-
-    def _above_floor(self, design: GarmentDesign) -> GarmentDesign:
-        """The design with a bottom that ends above the floor; lengths are fractions of hips to floor."""
-        excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
-        if excess <= 0:
-            return design
-        longest = bottom_length(design) - excess
-        return self.redrawing.within(design, "reaches_floor", _length_path(design), self._least_length(design), longest)
+        assert design.meta.bottom is not None
+        garment = design.meta.bottom.garment
+        is_plain = garment.always_sewable(garment.section_design(design))
+        return None if is_plain else _first(bottom_fault(size, design) for size in self.sizes)
 
     def _with_snug_band(self, design: GarmentDesign) -> GarmentDesign:
         """The design; a gathered bottom without upper gets a snug band, or no gathers if the overlay allows no band."""
@@ -288,14 +391,6 @@ class _Fitting:
             design = replace(design, meta=replace(design.meta, wb=band))
             design = self.redrawing.again(design, "loose_gathers", "waistband")
         return self.redrawing.within(design, "loose_gathers", "waistband.waist", 1.0, 1.0)
-
-    def _without_heavy_flare(self, design: GarmentDesign) -> GarmentDesign:
-        """The design with a shorter and narrower bottom, if it is flared and has neither an upper nor a firm band."""
-        if design.meta.upper or not is_flared(design) or has_firm_band(design):
-            return design
-        least = self._least_length(design)
-        design = self.redrawing.within(design, "too_heavy", _length_path(design), least, LIGHT_LENGTH)
-        return self._with_top_within(design, "fullness_parameter", -np.inf, LIGHT_SUNS, rule="too_heavy")
 
     def _with_top_within(
         self,
@@ -343,13 +438,6 @@ def _load_remedies(design: GarmentDesign) -> tuple[Remedy, ...]:
     full = (f"{top.section}.{top.fullness_parameter}-",) if top is not None and top.fullness_parameter else ()
     straps = ("shirt.strapless",) if design.meta.upper else ()
     return _remedies(*full, f"{_length_path(design)}-", *straps)
-
-
-def _is_plain(design: GarmentDesign) -> bool:
-    """Whether the bottom needs no sewability check: see ``BottomGarment.always_sewable``."""
-    assert design.meta.bottom is not None
-    garment = design.meta.bottom.garment
-    return garment.always_sewable(garment.section_design(design))
 
 
 def _length_path(design: GarmentDesign) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from gcd_dataset.curves import sample_curve
+from gcd_dataset.curves import sample_curve, signed_area
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.lattice import lattice_size
 from gcd_dataset.generator.mesh.stitch import (
@@ -27,7 +27,7 @@ from gcd_dataset.generator.mesh.stitch import (
     seam_name,
     stitch_points,
 )
-from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline
+from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline, flat_areas
 from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern, Seam
 
 SAMPLES = 17  # points of an edge, for the sign of a loop's area
@@ -36,14 +36,11 @@ SAMPLES = 17  # points of an edge, for the sign of a loop's area
 def turned_panels(pattern: Pattern, mesh: BoxMesh) -> tuple[str, ...]:
     """Names of the panels with their wrong side out: their faces have the opposite winding of the pattern's loops."""
     flat = np.bincount(mesh.panel_id, flat_areas(mesh.uv[mesh.corners]), minlength=len(mesh.panel_names))
-    loops = {panel.name: _loop_area(panel) for panel in pattern.panels}
+    loops = {}
+    for panel in pattern.panels:
+        edges = [sample_curve(*panel.edge_ends(i), edge.curve, SAMPLES)[:-1] for i, edge in enumerate(panel.edges)]
+        loops[panel.name] = signed_area(np.concatenate(edges))
     return tuple(name for name, area in zip(mesh.panel_names, flat, strict=True) if area * loops[name] < 0)
-
-
-def flat_areas(corners: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, " f"]:
-    """Signed areas of flat triangles, positive for counter-clockwise ones [cm²]."""
-    (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
-    return np.asarray(0.5 * (ax * by - ay * bx))
 
 
 def turned_over(names: Sequence[str], areas: Float[np.ndarray, " p"], seams: Sequence[Seam]) -> Bool[np.ndarray, " p"]:
@@ -91,13 +88,6 @@ def _orient_connected(
     return found
 
 
-def _loop_area(panel: Panel) -> float:
-    """Signed area of a panel's loop [cm²], positive if counter-clockwise."""
-    edges = [sample_curve(*panel.edge_ends(i), edge.curve, SAMPLES)[:-1] for i, edge in enumerate(panel.edges)]
-    x, y = np.concatenate(edges).T
-    return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-
-
 log = logging.getLogger(__name__)
 
 NARROWEST = 0.05  # spacings: the least mean width of a panel; triangles of narrower panels are slivers
@@ -128,7 +118,10 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
     faces = vertex[corners]
     proper = proper_faces(faces)  # sewing two corners together collapses a triangle
     _require_faces(faces[proper], vertex, panels, pattern)
-    corners = _sorted_faces(corners[proper])
+    # Faces begin with their least corner and are sorted: panel by panel, and small when stored.
+    corners = corners[proper]
+    corners = np.take_along_axis(corners, (np.argmin(corners, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    corners = corners[np.lexsort(corners.T[::-1])]
     return BoxMesh(
         vertices=mean_positions(panels.positions, vertex),
         faces=vertex[corners],
@@ -147,15 +140,12 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
 class _MeshedPanels:
     """All panels triangulated but not yet sewn; ``c`` counts the points of all panels."""
 
-    uv: Float[np.ndarray, "c 2"]
-    """Positions in the plane of each panel [cm]."""
-    positions: Float[np.ndarray, "c 3"]
-    """Positions round the body [cm]."""
+    uv: Float[np.ndarray, "c 2"]  # positions in the plane of each panel [cm]
+    positions: Float[np.ndarray, "c 3"]  # positions round the body [cm]
     corners: Int[np.ndarray, "f 3"]
     panel_of_point: Int[np.ndarray, " c"]
     borders: tuple[Border, ...]
-    first: Int[np.ndarray, " p"]
-    """The first point of each panel."""
+    first: Int[np.ndarray, " p"]  # the first point of each panel
 
     def edges(self, pattern: Pattern) -> dict[EdgeRef, Int[np.ndarray, " n"]]:
         """The points of every edge, from start to end."""
@@ -202,13 +192,6 @@ def _consistent_corners(panels: _MeshedPanels, pattern: Pattern) -> Int[np.ndarr
                 "%s: %s closes a band with one side only: the faces along it have opposite windings", pattern.name, name
             )
     return np.where(turned[panel, None], panels.corners[:, [0, 2, 1]], panels.corners)
-
-
-def _sorted_faces(corners: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
-    """The faces turned to begin with their least corner, then sorted: panel by panel, and small when stored."""
-    least = np.argmin(corners, axis=1)
-    turned = np.take_along_axis(corners, (least[:, None] + np.arange(3)) % 3, axis=1)
-    return turned[np.lexsort(turned.T[::-1])]
 
 
 def _mesh_panel(panel: Panel, border: Border, spacing: float, cache: Fillings) -> Filling:

@@ -5,7 +5,7 @@ is triangulated anew. All panels are laid side by side on one lattice and triang
 twice as long. ``rows`` are row numbers of ``BoxMesh.uv``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,11 +14,173 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.coarse_border import Borders, Thinned, thin
 from gcd_dataset.generator.mesh.lattice import PITCH, ROW, Grid, Lattice, build_lattice
 from gcd_dataset.generator.mesh.stitch import MOST_POINTS, proper_faces
 from gcd_dataset.generator.mesh.triangulate import Loops, Quality, triangulate_loops
 from gcd_dataset.records import BoxMesh
+
+STRAIGHT = np.cos(np.radians(25.0))  # border points where the outline turns by more than 25 degrees are kept
+
+
+@dataclass(frozen=True)
+class PanelBorders:
+    """The border of every panel as a closed loop, with its panel on the same side of all segments."""
+
+    rows: Int[np.ndarray, " b"]
+    """Rows of ``uv``, loop after loop."""
+    after: Int[np.ndarray, " b"]
+    """The row after each on its loop."""
+    panel: Int[np.ndarray, " b"]
+    """The panel of each, ascending: one loop for each panel that has faces."""
+
+    @staticmethod
+    def of(mesh: BoxMesh) -> "PanelBorders":
+        """The borders of a mesh. Raises ``MeshError`` for a panel with a hole or one that touches itself at a point."""
+        sides = _border_sides(mesh)
+        start, end, panel = mesh.corners.ravel()[sides], _ends(mesh)[sides], mesh.panel_id[sides // 3]
+        place = np.full(len(mesh.uv), -1)
+        place[start] = np.arange(len(start))
+        if (place[start] != np.arange(len(start))).any() or (place[end] < 0).any():
+            raise MeshError("a panel touches itself at a point: it cannot be made coarser")
+        order = np.array(list(_walk(mesh, panel, place[end])), int)
+        return PanelBorders(start[order], end[order], panel[order])
+
+
+def _border_sides(mesh: BoxMesh) -> Int[np.ndarray, " b"]:
+    """The sides of one face only; side ``3 f + k`` starts at corner ``k`` of face ``f``.
+
+    The faces round an inner row have the same rows before it as after it. The faces round a row on one border differ in
+    the first row and the last one; the sums could be equal only where two borders touch, which leaves a gap in both.
+    """
+    start, end = mesh.corners.ravel(), _ends(mesh)
+    on_border = np.bincount(start, end - mesh.corners[:, [2, 0, 1]].ravel(), minlength=len(mesh.uv)) != 0.0
+    near = np.flatnonzero(on_border[start] & on_border[end])
+    start, end = start[near], end[near]
+    key = np.minimum(start, end) * np.int64(len(mesh.uv)) + np.maximum(start, end)
+    order = np.argsort(key)
+    changed = np.diff(key[order], prepend=-1, append=-1) != 0
+    return np.sort(near[order[changed[:-1] & changed[1:]]])
+
+
+def _ends(mesh: BoxMesh) -> Int[np.ndarray, " s"]:
+    return mesh.corners[:, [1, 2, 0]].ravel()
+
+
+def _walk(mesh: BoxMesh, panel: Int[np.ndarray, " b"], after: Int[np.ndarray, " b"]) -> Iterator[int]:
+    """The sides along each loop, panel by panel, each loop from its first side."""
+    numbers, first, counts = np.unique(panel, return_index=True, return_counts=True)
+    following = after.tolist()
+    for number, start, count in zip(numbers.tolist(), first.tolist(), counts.tolist(), strict=True):
+        side, length = start, 0
+        while side != start or not length:
+            yield side
+            side, length = following[side], length + 1
+        if length != count:
+            raise MeshError(f"panel {mesh.panel_names[number]} has a hole: it cannot be made coarser")
+
+
+@dataclass(frozen=True)
+class Thinned:
+    """The border vertices that the coarse mesh keeps, and the positions of the dropped ones between them."""
+
+    kept: Bool[np.ndarray, " v"]
+    between: Int[np.ndarray, "k 2"]
+    """The kept vertices before and after each dropped vertex."""
+    dropped: Int[np.ndarray, " k"]
+    share: Float[np.ndarray, " k"]
+    """Position of the dropped vertex between those two, 0 to 1."""
+
+
+def thin(mesh: BoxMesh, borders: PanelBorders) -> Thinned:
+    """Every second vertex between corners and ends of seams, and these."""
+    graph = _Graph.of(mesh, borders)
+    path, chain = graph.chains(_corners(mesh, borders))
+    same = np.diff(chain) == 0
+    along = np.concatenate([[0.0], np.cumsum(np.where(same, graph.lengths_of(path[:-1], path[1:], same), 0.0))])
+    first = np.flatnonzero(np.diff(chain, prepend=-1))
+    segments = np.diff(first, append=len(path)) - 1
+    closed = path[first] == path[first + segments]
+    pieces = np.minimum(np.maximum((segments + 1) // 2, np.where(closed, 3, 2)), segments)
+    stop = np.zeros(len(path), bool)
+    number = np.arange(pieces.sum() + len(pieces)) - np.repeat(np.cumsum(pieces + 1) - pieces - 1, pieces + 1)
+    stop[np.repeat(first, pieces + 1) + np.rint(number * np.repeat(segments / pieces, pieces + 1)).astype(int)] = True
+    kept = np.zeros(len(mesh.vertices), bool)
+    kept[path[stop]] = True
+    at, stops = np.flatnonzero(~stop), np.flatnonzero(stop)
+    after = np.searchsorted(stops, at)
+    low, high = stops[after - 1], stops[after]
+    share = (along[at] - along[low]) / (along[high] - along[low])
+    return Thinned(kept, path[np.stack([low, high], axis=1)], path[at], share)
+
+
+def _corners(mesh: BoxMesh, borders: PanelBorders) -> Int[np.ndarray, " k"]:
+    """The vertices where an outline turns by more than ``STRAIGHT``."""
+    step = mesh.uv[borders.after] - mesh.uv[borders.rows]
+    step /= np.linalg.norm(step, axis=1, keepdims=True)
+    onward = np.empty(len(mesh.uv), int)
+    onward[borders.rows] = np.arange(len(step))
+    turned = (step[onward[borders.after]] * step).sum(axis=1) < STRAIGHT
+    return mesh.uv_vertex[borders.after[turned]]
+
+
+@dataclass(frozen=True)
+class _Graph:
+    """The vertices on borders, and the segments between them, each once for both panels of a seam."""
+
+    size: int  # number of vertices of the mesh
+    key: Int[np.ndarray, " h"]  # ``start * size + end`` of each segment in both directions, ascending
+    length: Float[np.ndarray, " h"]  # flat lengths [cm]
+
+    @staticmethod
+    def of(mesh: BoxMesh, borders: PanelBorders) -> "_Graph":
+        size = np.int64(len(mesh.vertices))
+        start, end = mesh.uv_vertex[borders.rows], mesh.uv_vertex[borders.after]
+        length = np.linalg.norm(mesh.uv[borders.after] - mesh.uv[borders.rows], axis=1)
+        proper = start != end
+        start, end, length = start[proper], end[proper], length[proper]
+        keys = np.stack([start * size + end, end * size + start], axis=1)[::-1]
+        key, last = np.unique(keys, return_index=True)  # on a seam, the length of the later panel
+        return _Graph(int(size), key, length[::-1][last // 2])
+
+    def lengths_of(
+        self, start: Int[np.ndarray, " n"], end: Int[np.ndarray, " n"], known: Bool[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"]:
+        """The length of each segment [cm]; of any segment where it is not ``known``."""
+        return self.length[np.searchsorted(self.key, np.where(known, start * self.size + end, self.key[0]))]
+
+    def chains(self, corners: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+        """The segments as chains of vertices, one after the other: the vertices, and the chain of each.
+
+        A chain runs between corners or vertices without exactly two neighbours. A closed border without one becomes a
+        chain that starts and stops at the same vertex.
+        """
+        start, end = np.divmod(self.key, self.size)
+        stops = np.bincount(start, minlength=self.size) != 2
+        stops[corners] = True
+        both = np.bincount(start, end, minlength=self.size).astype(int).tolist()  # the sum of two neighbours
+        stopping, seen = stops.tolist(), bytearray(self.size)
+        path: list[int] = []
+        sizes: list[int] = []
+
+        def follow(first: int, onward: int) -> None:
+            before, here, begin = first, onward, len(path)
+            path.append(first)
+            while not stopping[here] and here != first:
+                path.append(here)
+                seen[here] = True
+                before, here = here, both[here] - before
+            path.append(here)
+            sizes.append(len(path) - begin)
+
+        leaving = stops[start]
+        for first, onward in zip(start[leaving].tolist(), end[leaving].tolist(), strict=True):
+            if not seen[onward] and (not stopping[onward] or first < onward):
+                follow(first, onward)
+        for vertex, onward in zip(start[~leaving].tolist(), end[~leaving].tolist(), strict=True):
+            if not seen[vertex]:
+                follow(vertex, onward)
+                seen[vertex] = True
+        return np.array(path, int), np.repeat(np.arange(len(sizes)), sizes)
 
 
 def barycentric(
@@ -50,7 +212,7 @@ def locate(
     found[point[beside]] = triangle[beside]  # assigned in order, so the greatest counts
     lost = np.flatnonzero(found < 0)
     if len(lost):
-        found[lost] = _nearest(points, faces, queries[lost])
+        found[lost] = cKDTree(points[faces].mean(axis=1)).query(queries[lost])[1]  # the nearest centroid
     return found
 
 
@@ -88,13 +250,6 @@ def _runs(first: Int[np.ndarray, " n"], count: Int[np.ndarray, " n"]) -> tuple[n
     return run, np.arange(len(run)) + (first - np.cumsum(count) + count)[run]
 
 
-def _nearest(
-    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], queries: Float[np.ndarray, "n 2"]
-) -> Int[np.ndarray, " n"]:
-    """The triangles with the nearest centroid."""
-    return np.asarray(cKDTree(points[faces].mean(axis=1)).query(queries)[1])
-
-
 FEW = 1000  # vertices: a smaller mesh drapes as fast without a coarse start
 TYPICAL = 0.75  # quantile of a border's segments that is its spacing
 COARSE = Quality(longest=1.6, sharpest=float(np.radians(20.0)))  # a tenth of the seeds that the fine mesh's limits add
@@ -130,7 +285,7 @@ def coarse_start(mesh: BoxMesh) -> CoarseMesh | None:
 
 def coarsen(mesh: BoxMesh) -> CoarseMesh:
     """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow."""
-    borders = Borders.of(mesh)
+    borders = PanelBorders.of(mesh)
     thinned = thin(mesh, borders)
     return _join(mesh, borders, thinned, _fill(mesh, borders, thinned))
 
@@ -142,23 +297,20 @@ def coarsen(mesh: BoxMesh) -> CoarseMesh:
 class _Sheet:
     """The panels laid side by side on one lattice, with a spacing of 1; ``p`` counts the panels that have faces."""
 
-    centre: Float[np.ndarray, "p 2"]
-    """Middle of each panel's bounding box [cm]."""
+    centre: Float[np.ndarray, "p 2"]  # middle of each panel's bounding box [cm]
     scale: Float[np.ndarray, "p 2"]
     """The factors that lay a panel [1/cm]: one over its spacing, and negative along x if its border is clockwise."""
-    place: Float[np.ndarray, "p 2"]
-    """The lattice point that each centre is laid on."""
-    grid: Grid
-    """Origin, rows and columns of the lattice."""
-    left: Float[np.ndarray, " p"]
-    """Where each panel's part of the lattice begins along x, ascending."""
+    place: Float[np.ndarray, "p 2"]  # the lattice point that each centre is laid on
+    grid: Grid  # origin, rows and columns of the lattice
+    left: Float[np.ndarray, " p"]  # where each panel's part of the lattice begins along x, ascending
 
     @staticmethod
     def of(loops: Loops) -> "_Sheet":
         """The sheet of panels with these borders. Raises ``MeshError`` if it takes too many lattice points."""
         first = np.flatnonzero(np.diff(loops.number, prepend=-1))
         ahead = loops.points[loops.after]
-        clockwise = np.add.reduceat(_cross(loops.points, ahead), first) < 0.0
+        (x, y), (x_ahead, y_ahead) = loops.points.T, ahead.T
+        clockwise = np.add.reduceat(x * y_ahead - y * x_ahead, first) < 0.0
         length = np.linalg.norm(ahead - loops.points, axis=1)
         length = length[np.lexsort((length, loops.number))]
         spacing = length[first + np.rint(TYPICAL * (np.diff(first, append=len(length)) - 1)).astype(int)]
@@ -193,17 +345,12 @@ class _Sheet:
 class _Filled:
     """The coarse panels: the kept points of all borders, then seeds panel by panel; ``q`` counts both."""
 
-    panels: Int[np.ndarray, " p"]
-    """Rows of ``panel_names``."""
-    rows: Int[np.ndarray, " b"]
-    """The rows of the borders' points in the fine mesh."""
+    panels: Int[np.ndarray, " p"]  # rows of ``panel_names``
+    rows: Int[np.ndarray, " b"]  # the rows of the borders' points in the fine mesh
     sheet: _Sheet
-    laid: Float[np.ndarray, "q 2"]
-    """Positions on the sheet."""
-    panel: Int[np.ndarray, " q"]
-    """Row of ``panels``."""
-    faces: Int[np.ndarray, "f 3"]
-    """The triangles: of the strip, then of the lattice."""
+    laid: Float[np.ndarray, "q 2"]  # positions on the sheet
+    panel: Int[np.ndarray, " q"]  # row of ``panels``
+    faces: Int[np.ndarray, "f 3"]  # the triangles: of the strip, then of the lattice
     lattice: Lattice
 
     def holding(self, laid: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
@@ -216,7 +363,7 @@ class _Filled:
         return found
 
 
-def _fill(mesh: BoxMesh, borders: Borders, thinned: Thinned) -> _Filled:
+def _fill(mesh: BoxMesh, borders: PanelBorders, thinned: Thinned) -> _Filled:
     """The coarse panels. Raises ``MeshError`` where a panel is too narrow to lose half of its border points."""
     kept = thinned.kept[mesh.uv_vertex[borders.rows]]
     rows = borders.rows[kept]
@@ -248,7 +395,7 @@ def _require_outlines(loops: Loops, names: Sequence[str]) -> None:
 # ---------------------------------------------------------------------------------------------------------------- join
 
 
-def _join(mesh: BoxMesh, borders: Borders, thinned: Thinned, filled: _Filled) -> CoarseMesh:
+def _join(mesh: BoxMesh, borders: PanelBorders, thinned: Thinned, filled: _Filled) -> CoarseMesh:
     """The coarse panels joined along the seams of the fine mesh: kept vertices first, in their order, then seeds."""
     number = np.cumsum(thinned.kept) - 1
     n, count = len(filled.rows), int(thinned.kept.sum())
@@ -257,6 +404,7 @@ def _join(mesh: BoxMesh, borders: Borders, thinned: Thinned, filled: _Filled) ->
     fine_panel = _panel_of_rows(mesh, filled.panels)
     faces = filled.faces[np.argsort(filled.panel[filled.faces[:, 0]], kind="stable")]
     faces = faces[proper_faces(vertex[faces])]
+    sewn = mesh.seams[thinned.kept[mesh.seams[:, 0]]]
     coarse = BoxMesh(
         vertices=np.concatenate([mesh.vertices[thinned.kept], _in_space(mesh, fine_panel, seeds, seed_panel)]),
         faces=vertex[faces],
@@ -266,17 +414,10 @@ def _join(mesh: BoxMesh, borders: Borders, thinned: Thinned, filled: _Filled) ->
         panel_id=filled.panels[filled.panel[faces[:, 0]]],
         panel_names=mesh.panel_names,
         panel_labels=mesh.panel_labels,
-        seams=_renumbered(mesh.seams, thinned.kept, number),
+        seams=np.stack([number[sewn[:, 0]], sewn[:, 1]], axis=1),
         labels={name: number[ids[thinned.kept[ids]]] for name, ids in mesh.labels.items()},
     )
     return CoarseMesh(coarse, *_interpolation(mesh, borders, thinned, filled, vertex, fine_panel))
-
-
-def _renumbered(
-    seams: Int[np.ndarray, "s 2"], kept: Bool[np.ndarray, " v"], number: Int[np.ndarray, " v"]
-) -> Int[np.ndarray, "k 2"]:
-    left = seams[kept[seams[:, 0]]]
-    return np.stack([number[left[:, 0]], left[:, 1]], axis=1)
 
 
 def _panel_of_rows(mesh: BoxMesh, panels: Int[np.ndarray, " p"]) -> Int[np.ndarray, " c"]:
@@ -313,7 +454,7 @@ def _in_space(
 
 def _interpolation(
     mesh: BoxMesh,
-    borders: Borders,
+    borders: PanelBorders,
     thinned: Thinned,
     filled: _Filled,
     vertex: Int[np.ndarray, " q"],
@@ -339,7 +480,3 @@ def _interpolation(
     corners[thinned.dropped] = np.stack([low, high, low], axis=1)
     weights[thinned.dropped] = np.stack([1.0 - thinned.share, thinned.share, np.zeros_like(thinned.share)], axis=1)
     return corners, weights
-
-
-def _cross(a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

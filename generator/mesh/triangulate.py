@@ -5,6 +5,7 @@ the strip is too long or too sharp, its circumcentre becomes a seed, as in Delau
 1995), except that no border segment is ever split: the other side of the seam has its points already.
 """
 
+from collections import deque
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self, TypeAlias
@@ -15,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay, cKDTree
 from scipy.spatial.distance import cdist
 
-from gcd_dataset.generator.mesh.flips import has_segments, restore_segments
+from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.lattice import Lattice, build_lattice
 
 LONGEST = 1.43  # spacings: the longest edge, as in GarmentCode's boxmeshgen.py
@@ -144,12 +145,9 @@ class _Strip:
     spacing: float
     lattice: Lattice
     quality: Quality
-    points: Float[np.ndarray, "m 2"]
-    """Border, lattice and seeds that refinement has added, in this order [cm]."""
-    jittered: Float[np.ndarray, "m 2"]
-    """The points as Qhull sees them; all orientation tests use these."""
-    rim: Int[np.ndarray, " r"]
-    """The points on the rim of the lattice's filled triangles."""
+    points: Float[np.ndarray, "m 2"]  # border, lattice and seeds that refinement has added, in this order [cm]
+    jittered: Float[np.ndarray, "m 2"]  # the points as Qhull sees them; all orientation tests use these
+    rim: Int[np.ndarray, " r"]  # the points on the rim of the lattice's filled triangles
 
     @classmethod
     def of(cls, loops: Loops, spacing: float, lattice: Lattice, quality: Quality) -> Self:
@@ -203,7 +201,7 @@ class _Strip:
         fresh = _counter_clockwise(self.jittered, corners[Delaunay(self.jittered[corners]).simplices])
         fresh = fresh[fresh.max(axis=1) >= first_seed]
         updated = np.concatenate([old[~removed], fresh])
-        area, removed_area = _area(self.jittered[fresh]), _area(self.jittered[old[removed]])
+        area, removed_area = (flat_areas(self.jittered[faces]).sum() for faces in (fresh, old[removed]))
         if np.isclose(area, removed_area, rtol=SAME_AREA, atol=0.0) and has_segments(updated, self.loops.after):
             return updated, fresh
         anew = self.faces()
@@ -235,29 +233,15 @@ class _Strip:
         poor = (longest > self.quality.longest * self.spacing) | sharp
         if not poor.any():
             return centres[:0]
-        for has_room in (self._holds, self._is_clear, self._is_empty):
-            poor[poor] = has_room(centres[poor], radii[poor])
-        return centres[poor][_spaced_out(centres[poor], radii[poor])]
-
-    def _holds(self, centres: Float[np.ndarray, "k 2"], _: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-        """Flags of the centres inside the outline."""
-        return np.asarray(shapely.contains_xy(self.outline, *centres.T))
-
-    def _is_clear(self, centres: Float[np.ndarray, "k 2"], _: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-        """Flags of the centres that encroach on no border segment.
-
-        A point encroaches on a segment that it sees under more than a right angle (Ruppert, 1995).
-        """
+        poor[poor] = shapely.contains_xy(self.outline, *centres[poor].T)
+        # A point encroaches on a segment that it sees under more than a right angle (Ruppert, 1995).
         ahead = self.border[self.loops.after]
         half = 0.5 * np.linalg.norm(ahead - self.border, axis=1)
-        return (cdist(centres, 0.5 * (self.border + ahead)) >= half).all(axis=1)
-
-    def _is_empty(self, centres: Float[np.ndarray, "k 2"], radii: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-        """Flags of the circles without a point inside; over a slit, some circumcircles hold points."""
-        if not len(centres):
-            return np.zeros(0, bool)
-        nearest, _ = cKDTree(self.points[self.corners], balanced_tree=False).query(centres)
-        return np.asarray(nearest > EMPTY * radii)
+        poor[poor] = (cdist(centres[poor], 0.5 * (self.border + ahead)) >= half).all(axis=1)
+        if poor.any():  # over a slit, some circumcircles hold points
+            nearest, _ = cKDTree(self.points[self.corners], balanced_tree=False).query(centres[poor])
+            poor[poor] = nearest > EMPTY * radii[poor]
+        return centres[poor][_spaced_out(centres[poor], radii[poor])]
 
 
 def _centroids(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 2"]:
@@ -278,15 +262,14 @@ def _jittered(points: Float[np.ndarray, "m 2"], by: float, *, first: int = 0) ->
 
 def _counter_clockwise(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
     """The triangles with their corners in counter-clockwise order."""
-    a, b, c = points[faces].transpose(1, 2, 0)
-    turn = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    turn = _orientation(*points[faces].transpose(1, 2, 0))
     return np.where(turn[:, None] < 0, faces[:, ::-1], faces)
 
 
-def _area(corners: Float[np.ndarray, "f 3 2"]) -> float:
-    """The total area of the triangles [cm²]."""
-    (bx, by), (cx, cy) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
-    return 0.5 * float((bx * cy - by * cx).sum())
+def flat_areas(corners: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, " f"]:
+    """Signed areas of flat triangles, positive for counter-clockwise ones [cm²]."""
+    (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    return np.asarray(0.5 * (ax * by - ay * bx))
 
 
 def _circumcircles(
@@ -323,3 +306,147 @@ def _spaced_out(points: Float[np.ndarray, "k 2"], radii: Float[np.ndarray, " k"]
         open_[second[best[first]]] = False
         open_[first[best[second]]] = False
     return order[chosen]
+
+
+ROUNDING = 1e-9  # rad: either diagonal of four points on one circle is legal
+
+
+def restore_segments(
+    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], after: Int[np.ndarray, " n"]
+) -> Int[np.ndarray, "f 3"]:
+    """The constrained Delaunay triangles: every segment (i, after[i]) of the loops is one of their edges.
+
+    Flips the edges that cross a missing segment (Sloan, A fast algorithm for generating constrained Delaunay
+    triangulations, 1993), then the edges that violate Delaunay's criterion. Segments are rarely missing: only along
+    slits narrower than the spacing of their points.
+    Raises ``MeshError`` where a loop touches itself.
+    """
+    missing = np.flatnonzero(~_present_segments(faces, after))
+    if not len(missing):
+        return faces
+    faces = faces.copy()
+    for start in missing:
+        _restore(points, faces, int(start), int(after[start]))
+    while _flip_illegal(points, faces, after):
+        pass
+    lost = np.flatnonzero(~_present_segments(faces, after))  # a corner lies on a segment, or two segments cross
+    if len(lost):
+        raise _touch_error(points[lost[0]])
+    return faces
+
+
+def has_segments(faces: Int[np.ndarray, "f 3"], after: Int[np.ndarray, " n"]) -> bool:
+    """Whether every segment (i, after[i]) of the loops is an edge of a triangle."""
+    return bool(_present_segments(faces, after).all())
+
+
+def _present_segments(faces: Int[np.ndarray, "f 3"], after: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Flags of the loops' segments that are edges of triangles, in either direction."""
+    start, end = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+    on_border = np.flatnonzero(np.maximum(start, end) < len(after))
+    start, end = start[on_border], end[on_border]
+    present = np.zeros(len(after), bool)
+    present[start[after[start] == end]] = True
+    present[end[after[end] == start]] = True
+    return present
+
+
+def _restore(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], a: int, b: int) -> None:
+    """Flip edges in place until (a, b) is an edge."""
+    crossing = deque(_crossing_edges(points, faces, a, b))
+    for _ in range(len(crossing) ** 2 + len(crossing) + 1):  # Sloan's queue empties well before
+        if not crossing:
+            return
+        u, v = crossing.popleft()
+        (f, g), (p, q) = _adjacent_faces(faces, u, v)
+        if _orientation(points[p], points[q], points[u]) * _orientation(points[p], points[q], points[v]) >= 0:
+            crossing.append((u, v))  # the quadrilateral is not convex: no flip yet
+            continue
+        faces[f], faces[g] = (p, u, q), (q, v, p)
+        if {p, q} != {a, b} and _segments_cross(points, (p, q), (a, b)):
+            crossing.append((p, q))
+    raise _touch_error(points[a])
+
+
+def _touch_error(point: Float[np.ndarray, "2"]) -> MeshError:
+    x, y = point
+    return MeshError(f"the outline touches itself near ({x:.2f}, {y:.2f}) cm: move its edges apart")
+
+
+def _crossing_edges(
+    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], a: int, b: int
+) -> list[tuple[int, int]]:
+    """The edges that cross the segment (a, b), each once."""
+    u, v = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    once = u < v
+    u, v = u[once], v[once]
+    side_u, side_v = (_orientation(points[a], points[b], points[end].T) for end in (u, v))
+    side_a, side_b = (_orientation(points[u].T, points[v].T, points[end]) for end in (a, b))
+    apart = (u != a) & (u != b) & (v != a) & (v != b)
+    crossing = apart & (side_u * side_v < 0) & (side_a * side_b < 0)
+    return list(zip(u[crossing].tolist(), v[crossing].tolist(), strict=True))
+
+
+def _flip_illegal(
+    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], after: Int[np.ndarray, " n"]
+) -> bool:
+    """Flip, in place, edges with a corner of one face in the circumcircle of the other, at most one edge of each face.
+
+    Never flips a segment of the loops. Returns whether any edge was illegal.
+    """
+    f, i, g, j = _inner_edges(faces)
+    u, v, p, q = faces[f, i], faces[f, (i + 1) % 3], faces[f, i - 1], faces[g, j - 1]
+    border = (u < len(after)) & (v < len(after))
+    border[border] = (after[u[border]] == v[border]) | (after[v[border]] == u[border])
+    illegal = _angle(points, u, p, v) + _angle(points, u, q, v) > np.pi + ROUNDING
+    illegal &= ~border
+    f, g, u, v, p, q = (x[illegal] for x in (f, g, u, v, p, q))
+    rank = np.arange(len(f))
+    first = np.full(len(faces), len(f))
+    np.minimum.at(first, np.concatenate([f, g]), np.tile(rank, 2))
+    alone = (first[f] == rank) & (first[g] == rank)
+    faces[f[alone]] = np.stack([p, u, q], axis=1)[alone]
+    faces[g[alone]] = np.stack([q, v, p], axis=1)[alone]
+    return len(f) > 0
+
+
+def _inner_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, " e"], ...]:
+    """Face and corner where each inner edge starts: ``(face, corner)`` of one side, then of the other."""
+    ends = np.sort(np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()]), axis=0)
+    order = np.lexsort(ends)
+    twins = np.flatnonzero((np.diff(ends[:, order], axis=1) == 0).all(axis=0))
+    return (*np.divmod(order[twins], 3), *np.divmod(order[twins + 1], 3))
+
+
+def _angle(
+    points: Float[np.ndarray, "m 2"], a: Int[np.ndarray, " e"], apex: Int[np.ndarray, " e"], b: Int[np.ndarray, " e"]
+) -> Float[np.ndarray, " e"]:
+    """The angle a–apex–b [rad]."""
+    to_a, to_b = points[a] - points[apex], points[b] - points[apex]
+    return np.arctan2(np.abs(to_a[:, 0] * to_b[:, 1] - to_a[:, 1] * to_b[:, 0]), (to_a * to_b).sum(axis=1))
+
+
+def _adjacent_faces(faces: Int[np.ndarray, "f 3"], u: int, v: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    """The faces left and right of the edge (u, v), and the third corner of each."""
+    after = np.roll(faces, -1, axis=1)
+    f, i = (int(x[0]) for x in np.nonzero((faces == u) & (after == v)))
+    g, j = (int(x[0]) for x in np.nonzero((faces == v) & (after == u)))
+    return (f, g), (int(faces[f, i - 1]), int(faces[g, j - 1]))
+
+
+def _segments_cross(points: Float[np.ndarray, "m 2"], first: tuple[int, int], second: tuple[int, int]) -> bool:
+    (u, v), (a, b) = first, second
+    if len({u, v, a, b}) < 4:
+        return False
+    apart = _orientation(points[a], points[b], points[u]) * _orientation(points[a], points[b], points[v]) < 0
+    return bool(
+        apart and _orientation(points[u], points[v], points[a]) * _orientation(points[u], points[v], points[b]) < 0
+    )
+
+
+def _orientation(
+    a: Float[np.ndarray, "2 *n"], b: Float[np.ndarray, "2 *n"], c: Float[np.ndarray, "2 *n"]
+) -> Float[np.ndarray, " *n"]:
+    """Twice the signed area of (a, b, c): positive for a left turn."""
+    result: Float[np.ndarray, " *n"] = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    return result

@@ -17,12 +17,11 @@ A bag, open at the top, with a notch 10 cm deep in the hem of its front:
 
 from gcd_dataset.generator.pattern.assemble import MeasuredJoin, assemble, assemble_and_measure, measure_joins, panel_of
 from gcd_dataset.generator.pattern.component import Component
-from gcd_dataset.generator.pattern.cubic_fit import s_shaped_cubic, smooth_cubic
+from gcd_dataset.generator.pattern.cubic_fit import s_shaped_cubic, smooth_cubic, tangent_quadratic
 from gcd_dataset.generator.pattern.dart import cut_corner, cut_end, cut_into, dart, notch
 from gcd_dataset.generator.pattern.outline import Outline
 from gcd_dataset.generator.pattern.piece import Interface, Piece, backwards
 from gcd_dataset.generator.pattern.stroke import Stroke, chain_from, rotate
-from gcd_dataset.generator.pattern.tangent import tangent_quadratic
 
 __all__ = [
     "Component",

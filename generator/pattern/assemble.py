@@ -18,23 +18,9 @@ class _WalkedStroke:
     """A stroke of a piece in the walk of an interface."""
 
     panel: str
-    stroke: int
-    """Its number in the piece's outline."""
-    backward: bool
-    """Whether it is walked against its drawing direction."""
-    length: float
-    """Projected length: without the gathers [cm]."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """One part of a divided stroke."""
-
-    panel: str
-    stroke: int
-    part: int
-    """Its number in drawing order."""
-    backward: bool
+    stroke: int  # its number in the piece's outline
+    backward: bool  # whether it is walked against its drawing direction
+    length: float  # projected length: without the gathers [cm]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +45,26 @@ def assemble_and_measure(component: Component, name: str) -> tuple[Pattern, tupl
     _require_sewn_once(component, walks)
     divisions = _divisions(walks)
     outward = {piece.name: piece.faces_out for piece in component.pieces}
-    strokes = {piece.name: _divided(piece, divisions) for piece in component.pieces}
+    strokes = {
+        piece.name: [
+            stroke.split(shares) if (shares := divisions.get((piece.name, index))) else (stroke,)
+            for index, stroke in enumerate(piece.outline.strokes)
+        ]
+        for piece in component.pieces
+    }
     panels = {piece.name: _panel(piece, strokes[piece.name], outward[piece.name]) for piece in component.pieces}
-    numbers = {panel: _edge_numbers(parts, outward[panel]) for panel, parts in strokes.items()}
-    seams = [
-        _seam(left, right, numbers, outward)
-        for walk_left, walk_right in walks
-        for left, right in zip(_parts(walk_left, divisions), _parts(walk_right, divisions), strict=True)
-    ]
+    numbers: dict[str, dict[tuple[int, int], int]] = {}
+    """Number of the edge in the panel's loop, by (stroke, part)."""
+    for panel, divided in strokes.items():
+        keys = [(stroke, part) for stroke, own_parts in enumerate(divided) for part in range(len(own_parts))]
+        numbers[panel] = dict(zip(keys if outward[panel] else reversed(keys), range(len(keys)), strict=True))
+    seams = []
+    for walk in walks:
+        for sides in zip(*(_parts(side, divisions) for side in walk), strict=True):
+            left, right = (EdgeRef(walked.panel, numbers[walked.panel][walked.stroke, part]) for walked, part in sides)
+            # The walks and the directions of the loops decide which ends meet.
+            with_loop = [outward[walked.panel] != walked.backward for walked, _ in sides]
+            seams.append(Seam(left, right, right_wrong=with_loop[0] == with_loop[1]))
     order = panel_order(tuple(panels.values()))
     return Pattern(name, tuple(panels[panel] for panel in order), tuple(seams)), _measured(component, walks)
 
@@ -127,38 +125,16 @@ def _divisions(walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]])
     return divisions
 
 
-def _divided(piece: Piece, divisions: Mapping[tuple[str, int], list[float]]) -> list[tuple[Stroke, ...]]:
-    """The parts of every stroke of the piece, in drawing order."""
-    shares = [divisions.get((piece.name, index)) for index in range(len(piece.outline.strokes))]
-    return [stroke.split(s) if s else (stroke,) for stroke, s in zip(piece.outline.strokes, shares, strict=True)]
-
-
-def _parts(walk: Sequence[_WalkedStroke], divisions: Mapping[tuple[str, int], list[float]]) -> list[_Part]:
-    """The parts of an interface's divided strokes, in the order of its walk."""
+def _parts(
+    walk: Sequence[_WalkedStroke], divisions: Mapping[tuple[str, int], list[float]]
+) -> list[tuple[_WalkedStroke, int]]:
+    """The parts of an interface's divided strokes in the order of its walk: stroke, and number in drawing order."""
     parts = []
     for walked in walk:
         count = len(divisions[walked.panel, walked.stroke]) + 1
         order = reversed(range(count)) if walked.backward else range(count)
-        parts += [_Part(walked.panel, walked.stroke, part, walked.backward) for part in order]
+        parts += [(walked, part) for part in order]
     return parts
-
-
-def _edge_numbers(parts: Sequence[tuple[Stroke, ...]], outward: bool) -> dict[tuple[int, int], int]:
-    """Number of the edge in the panel's loop, by (stroke, part)."""
-    keys = [(stroke, part) for stroke, own_parts in enumerate(parts) for part in range(len(own_parts))]
-    return {key: number if outward else len(keys) - 1 - number for number, key in enumerate(keys)}
-
-
-def _seam(
-    left: _Part,
-    right: _Part,
-    numbers: Mapping[str, Mapping[tuple[int, int], int]],
-    outward: Mapping[str, bool],
-) -> Seam:
-    """The seam of two parts; the walks and the directions of the loops decide which ends meet."""
-    refs = [EdgeRef(part.panel, numbers[part.panel][part.stroke, part.part]) for part in (left, right)]
-    with_loop = [outward[part.panel] != part.backward for part in (left, right)]
-    return Seam(refs[0], refs[1], right_wrong=with_loop[0] == with_loop[1])
 
 
 def _panel(piece: Piece, parts: Sequence[tuple[Stroke, ...]], outward: bool) -> Panel:

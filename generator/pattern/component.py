@@ -136,12 +136,9 @@ def _renamed(interface: Interface, old: str, new: str) -> Interface:
 def _with_mirrored_labels(piece: Piece) -> Piece:
     if not any(stroke.label for stroke in piece.outline.strokes):
         return piece
-    strokes = tuple(replace(stroke, label=_mirrored(stroke.label)) for stroke in piece.outline.strokes)
+    labels = (s.label.mirrored if isinstance(s.label, EdgeRole) else s.label for s in piece.outline.strokes)
+    strokes = tuple(replace(s, label=label) for s, label in zip(piece.outline.strokes, labels, strict=True))
     return replace(piece, outline=replace(piece.outline, strokes=strokes))
-
-
-def _mirrored(label: EdgeRole | str) -> EdgeRole | str:
-    return label.mirrored if isinstance(label, EdgeRole) else label
 
 
 def _labelled(piece: Piece, edges: set[tuple[str, str]], label: EdgeRole) -> Piece:

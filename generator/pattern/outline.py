@@ -57,11 +57,11 @@ class Outline:
             pen = stroke.end
         return type(self)(self.origin, (*self.strokes, *strokes))
 
-    def close(self, *, name: str = "", label: EdgeRole | str = "") -> Self:
+    def close(self, *, name: str = "") -> Self:
         """Closed by a straight edge to the origin, unless the pen is there already."""
         if _meet(self.pen, self.origin):
             return self
-        return self.line(*self.origin, name=name, label=label)
+        return self.line(*self.origin, name=name)
 
     @property
     def closed(self) -> bool:

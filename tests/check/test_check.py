@@ -16,7 +16,7 @@ from gcd_dataset.check.checks import CHECKS, Harm
 from gcd_dataset.check.report import Report
 from gcd_dataset.cli import main
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import BodyShape, Outcome, Pattern, Sample
 from gcd_dataset.release.bodies import FOLDER, KINDS
@@ -349,7 +349,7 @@ def generated_ruffle() -> Pattern:
     """A skirt of five levels, gathered at each."""
     levels = {"level_ruffle": 1.7, "num_levels": 5, "base": "PencilSkirt", "level": "Skirt2"}
     design = {"meta": {"bottom": "SkirtLevels"}, "levels-skirt": levels}
-    return outfit(measure(build_body(neutral_shape())), design_from_dict(design))
+    return draw_garment(measure(build_body(neutral_shape())), design_from_dict(design))
 
 
 def test_a_pattern_that_differs_by_centimetres_is_no_duplicate(tmp_path: Path) -> None:

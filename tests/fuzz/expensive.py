@@ -239,64 +239,6 @@ def _costly_stl(content: bytes, chance: random.Random) -> bytes:
     )()
 
 
-def _glb(tree: Mapping[str, Any], binary: bytes = b"") -> bytes:
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-
-
-def _costly_glb(content: bytes, chance: random.Random) -> bytes:
-    """One triangle, counted, named, placed or chained too often."""
-    n, count = _amount(chance, 9_999), chance.choice((3, 10**4, 10**9, 4_000_000_000, 10**18))
-    points = struct.pack("<9f3I", 0, 0, 0, 1, 0, 0, 0, 170, 0, 0, 1, 2)
-    tree: dict[str, Any] = {
-        "asset": {"version": "2.0"},
-        "buffers": [{"byteLength": len(points)}],
-        "bufferViews": [{"buffer": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 12}],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
-            {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"},
-        ],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "nodes": [{"mesh": 0}],
-        "scenes": [{"nodes": [0]}],
-        "scene": 0,
-    }
-    accessor, primitive = tree["accessors"][0], tree["meshes"][0]["primitives"][0]
-    change = chance.choice(
-        (
-            {"accessors": [accessor | {"count": count}, tree["accessors"][1]]},
-            {"accessors": [accessor, tree["accessors"][1] | {"count": count}]},
-            {"accessors": [accessor, {"componentType": 5125, "count": count, "type": "SCALAR"}]},
-            {"accessors": [accessor | {"sparse": {"count": count, "indices": {}, "values": {}}}, tree["accessors"][1]]},
-            {"accessors": tree["accessors"] * n},
-            {"bufferViews": tree["bufferViews"] * n},
-            {"meshes": [{"primitives": [primitive] * n}]},
-            {"meshes": [{"primitives": [primitive | {"targets": [{"POSITION": 0}] * n}]}]},
-            {
-                "meshes": tree["meshes"] * n,
-                "nodes": [{"mesh": i} for i in range(n)],
-                "scenes": [{"nodes": [*range(n)]}],
-            },
-            {"nodes": [{"mesh": 0}] * n, "scenes": [{"nodes": [*range(n)]}]},
-            {"nodes": [{"children": [i + 1]} for i in range(n)] + [{"mesh": 0}]},
-            {"nodes": [{"mesh": 0, "children": [i + 1], "scale": [9, 9, 9]} for i in range(n)] + [{"mesh": 0}]},
-            {"nodes": [{"children": [*range(1, n)]}] + [{"mesh": 0, "name": "x" * 500}] * (n - 1)},
-            {"scenes": [{"nodes": [0] * n}]},
-            {"scenes": tree["scenes"] * n},
-            {"images": [{"uri": "data:image/png;base64," + "A" * 100}] * n},
-            {"materials": [{"name": str(i)} for i in range(n)]},
-            {"animations": [{"channels": [], "samplers": [{"input": 0, "output": 0}] * n}]},
-            {"skins": [{"joints": [0] * n}]},
-            {"buffers": [{"byteLength": count}]},
-            {"buffers": [{"byteLength": 48}, *({"uri": "data:;base64,AAAA", "byteLength": 3} for _ in range(n))]},
-            {"extras": dict.fromkeys(map(str, range(n)), 0)},
-        )
-    )
-    return _glb(tree | change, points)
-
-
 # -------------------------------------------------------------------------------------------------------------- readers
 
 
@@ -313,6 +255,5 @@ EXPENSIVE: Mapping[str, Sequence[Writer]] = {
     "body-obj": (_costly_obj,),
     "body-ply": (_costly_ply,),
     "body-stl": (_costly_stl,),
-    "body-glb": (_costly_glb,),
 }
 """Reader to the writers of its expensive inputs."""

@@ -12,7 +12,7 @@ import pytest
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest, SharedDraper, address_for
-from gcd_dataset.generator.drapers.in_order import Work, in_order
+from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.pipeline import sample_key
@@ -132,13 +132,13 @@ def test_a_failure_waits_for_the_results_before_it() -> None:
         def __exit__(self, *_: object) -> None:
             pass
 
-    def piece(number: int) -> Work[int]:
+    def piece(number: int) -> DrapeWork[int]:
         def finish(_: Sequence[DrapeReply]) -> int:
             if number == 2:
                 raise PatternError("piece 2")
             return number
 
-        return Work([None], finish)  # type: ignore[list-item]
+        return DrapeWork([None], finish)  # type: ignore[list-item]
 
     made: list[int] = []
     with pytest.raises(PatternError, match="piece 2"):

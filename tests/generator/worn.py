@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gcd_dataset.generator.captions import captions
-from gcd_dataset.generator.garments import GarmentDesign, Reject, design_from_dict, outfit, sample_design, try_on
+from gcd_dataset.generator.garments import GarmentDesign, Reject, design_from_dict, draw_garment, sample_design, try_on
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.records import Measurements, Pattern
 from tests.generator.garments.conftest import MAN, STOUT, WOMAN
@@ -27,7 +27,7 @@ class Worn(NamedTuple):
 def drawn(size: Measurements, **values: object) -> Worn:
     """A design of sections, with underscores in their names, drawn for a wearer."""
     design = design_from_dict({name.replace("_", "-"): part for name, part in values.items()})
-    return Worn(size, design, outfit(size, design))
+    return Worn(size, design, draw_garment(size, design))
 
 
 def sampled(count: int, *overlays: Mapping[str, Any]) -> Iterator[Worn]:

@@ -14,8 +14,8 @@ from torch.utils.data import ConcatDataset, DataLoader
 from gcd_dataset.bodies import POSES, BodyMesh
 from gcd_dataset.errors import BodyError, ConfigError, ShardError
 from gcd_dataset.generator.body import build_body, measure
+from gcd_dataset.generator.body.by_name import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.maker import make
-from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.records import MEASURES, BodyPart

@@ -164,8 +164,9 @@ def test_a_retry_is_draped_first() -> None:
     one = drape_request(0)
     for number, retry in enumerate([False, False, True, False]):
         queue.put(connection, replace(one, number=number, retry=retry))
-    taken = [queue._pop() for _ in range(4)]
-    assert [entry and entry[1].number for entry in taken] == [2, 0, 1, 3]
+    jobs = queue._jobs()
+    assert all(next(jobs) for _ in range(4))
+    assert [request.number for _, request in queue._draping.values()] == [2, 0, 1, 3]
     theirs.close()
 
 

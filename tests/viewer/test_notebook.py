@@ -9,8 +9,8 @@ import pytest
 import torch
 import trimesh
 
+from gcd_dataset.generator.body.by_name import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.drawing import SKIN, draw_body
-from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
 from gcd_dataset.loaders import (
     BodyDataset,
     FakeGarments,

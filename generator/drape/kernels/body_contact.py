@@ -3,7 +3,7 @@
 import warp as wp
 
 from gcd_dataset.generator.drape.kernels.push import add_pressure, add_push, add_weight
-from gcd_dataset.generator.drape.kernels.world import Cloth, World
+from gcd_dataset.generator.drape.kernels.world import ClothArrays, World
 
 wp.set_module_options({"enable_backward": False})
 
@@ -101,7 +101,7 @@ def leave_body(depth: float, approach: float, world: World) -> float:
 def push_long_edge(
     edge: wp.vec2i,
     world: World,
-    cloth: Cloth,
+    cloth: ClothArrays,
     contact_weight: wp.array(dtype=float),
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
@@ -143,7 +143,7 @@ def push_long_edge(
 
 
 @wp.func
-def find_skin(i: int, p: wp.vec3, world: World, cloth: Cloth) -> wp.vec4:
+def find_skin(i: int, p: wp.vec3, world: World, cloth: ClothArrays) -> wp.vec4:
     """The plane that stands for the skin at vertex ``i`` until the next search: normal, and distance of ``p`` [cm].
 
     A vertex moves by about ``World.travel`` = 0.1 cm between two searches, and a skin of radius R departs from the

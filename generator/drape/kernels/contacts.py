@@ -11,7 +11,15 @@ from gcd_dataset.generator.drape.kernels.body_contact import push_long_edge
 from gcd_dataset.generator.drape.kernels.crossing import untangle_crossing
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, separation
 from gcd_dataset.generator.drape.kernels.push import add_push, add_weight
-from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, CrossingWatch, World, entries, world_of
+from gcd_dataset.generator.drape.kernels.world import (
+    RUNNING,
+    ClothArrays,
+    Contacts,
+    CrossingWatch,
+    World,
+    entries,
+    world_of,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -175,7 +183,7 @@ def scan_work(
 def push_contacts(
     # model
     worlds: wp.array(dtype=World),
-    cloth: Cloth,
+    cloth: ClothArrays,
     contacts: Contacts,
     threads: int,
     # state in

@@ -10,7 +10,7 @@ import warp as wp
 
 from gcd_dataset.generator.drape.kernels.geometry import has_vertex, segment_crosses
 from gcd_dataset.generator.drape.kernels.push import add_push
-from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, CrossingWatch, World, take_slot
+from gcd_dataset.generator.drape.kernels.world import ClothArrays, Contacts, CrossingWatch, World, take_slot
 
 wp.set_module_options({"enable_backward": False})
 
@@ -30,7 +30,7 @@ def find_roots(
 
 @wp.kernel
 def clear_tangled(
-    cloth: Cloth,
+    cloth: ClothArrays,
     # state in
     crossing: CrossingWatch,
     # state out
@@ -46,7 +46,7 @@ def clear_tangled(
 def find_crossings(
     # model
     worlds: wp.array(dtype=World),
-    cloth: Cloth,
+    cloth: ClothArrays,
     bvh: wp.uint64,
     roots: wp.array(dtype=int),
     # state in
@@ -104,7 +104,7 @@ def into_face(along: wp.vec3, start: wp.vec3, opposite: wp.vec3, normal: wp.vec3
 
 
 @wp.func
-def contour_direction(e: int, face: wp.vec3i, cloth: Cloth, x: wp.array(dtype=wp.vec3)) -> wp.vec3:
+def contour_direction(e: int, face: wp.vec3i, cloth: ClothArrays, x: wp.array(dtype=wp.vec3)) -> wp.vec3:
     """Direction in which an edge moves against a face that it crosses to shorten the intersection contour.
 
     At most 1 long, and shorter where the gradient is small.
@@ -125,7 +125,7 @@ def contour_direction(e: int, face: wp.vec3i, cloth: Cloth, x: wp.array(dtype=wp
 
 
 @wp.func
-def pull_to_part(i: int, world: World, cloth: Cloth, x: wp.array(dtype=wp.vec3), push: wp.array2d(dtype=int)):
+def pull_to_part(i: int, world: World, cloth: ClothArrays, x: wp.array(dtype=wp.vec3), push: wp.array2d(dtype=int)):
     """Accelerate a vertex toward the axis of the body part that it covers."""
     part = cloth.own_part[i]
     if part < 0 or world.pulling == 0.0:
@@ -139,7 +139,7 @@ def pull_to_part(i: int, world: World, cloth: Cloth, x: wp.array(dtype=wp.vec3),
 
 @wp.func
 def untangle_crossing(
-    crossing: wp.vec2i, world: World, cloth: Cloth, x: wp.array(dtype=wp.vec3), push: wp.array2d(dtype=int)
+    crossing: wp.vec2i, world: World, cloth: ClothArrays, x: wp.array(dtype=wp.vec3), push: wp.array2d(dtype=int)
 ):
     """Accelerate a listed edge and triangle in opposite directions, which shortens the contour, if they still cross."""
     e = crossing[0]
@@ -165,7 +165,7 @@ def untangle_crossing(
 @wp.kernel
 def count_self_crossings(
     # model
-    cloth: Cloth,
+    cloth: ClothArrays,
     bvh: wp.uint64,
     roots: wp.array(dtype=int),
     chosen: wp.array(dtype=int),
@@ -205,7 +205,7 @@ class BodyEdges:
 @wp.kernel
 def count_body_through(
     # model
-    cloth: Cloth,
+    cloth: ClothArrays,
     bodies: wp.array(dtype=BodyEdges),
     bvh: wp.uint64,
     roots: wp.array(dtype=int),
@@ -245,7 +245,7 @@ def crosses_skin(mesh: wp.uint64, p: wp.vec3, q: wp.vec3) -> bool:
 @wp.kernel
 def count_body_crossings(
     # model
-    cloth: Cloth,
+    cloth: ClothArrays,
     chosen: wp.array(dtype=int),
     # state in
     x: wp.array(dtype=wp.vec3),
@@ -260,3 +260,23 @@ def count_body_crossings(
         return
     if crosses_skin(cloth.body_mesh[w], x[i], x[cloth.edges[e][1]]):
         wp.atomic_add(crossings, w, 1)
+
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def bound_faces(
+    cloth: ClothArrays,
+    x: wp.array(dtype=wp.vec3),
+    # out
+    lower: wp.array(dtype=wp.vec3),
+    upper: wp.array(dtype=wp.vec3),
+):
+    """The axis-aligned bounding box of every face [cm]."""
+    f = wp.tid()
+    a = x[cloth.faces[f][0]]
+    b = x[cloth.faces[f][1]]
+    c = x[cloth.faces[f][2]]
+    lower[f] = wp.min(wp.min(a, b), c)
+    upper[f] = wp.max(wp.max(a, b), c)

@@ -9,7 +9,7 @@ import warp as wp
 from gcd_dataset.generator.drape.kernels.body_contact import is_ignored, nearest_part
 from gcd_dataset.generator.drape.kernels.crossing import BodyEdges, crosses_skin
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, segment_crosses
-from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, entries
+from gcd_dataset.generator.drape.kernels.world import ClothArrays, Contacts, World, entries
 from gcd_dataset.records import POSITION_STEP
 
 wp.set_module_options({"enable_backward": False})
@@ -23,7 +23,7 @@ DEEPEST = 3.0  # cm: cloth deeper inside stays there
 @wp.kernel
 def reset_allowed_moves(
     worlds: wp.array(dtype=World),
-    cloth: Cloth,
+    cloth: ClothArrays,
     # state out
     allowed: wp.array(dtype=float),
 ):
@@ -65,7 +65,7 @@ def bound_moves(
 
 @wp.kernel
 def mark_body_crossings(
-    cloth: Cloth,
+    cloth: ClothArrays,
     # state in
     chosen: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
@@ -102,7 +102,7 @@ def nearest_exit(mesh: wp.uint64, p: wp.vec3) -> wp.vec4:
 @wp.kernel
 def measure_pierced_faces(
     # model
-    cloth: Cloth,
+    cloth: ClothArrays,
     bodies: wp.array(dtype=BodyEdges),
     bvh: wp.uint64,
     roots: wp.array(dtype=int),
@@ -144,7 +144,7 @@ def measure_pierced_faces(
 @wp.kernel
 def leave_skin(
     worlds: wp.array(dtype=World),
-    cloth: Cloth,
+    cloth: ClothArrays,
     # state in
     chosen: wp.array(dtype=int),
     through: wp.array(dtype=int),
@@ -191,7 +191,7 @@ def leave_skin(
 
 @wp.kernel
 def round_positions(
-    cloth: Cloth,
+    cloth: ClothArrays,
     chosen: wp.array(dtype=int),
     # state in and out
     x: wp.array(dtype=wp.vec3),

@@ -4,7 +4,7 @@ import warp as wp
 
 from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Corner, Rows, Spring, entry
 from gcd_dataset.generator.drape.kernels.sheet import Sheet, springs_of
-from gcd_dataset.generator.drape.kernels.topology import Hinges, Surface, flat_area
+from gcd_dataset.generator.drape.kernels.topology import ClothSurface, Hinges, flat_area
 
 wp.set_module_options({"enable_backward": False})
 
@@ -47,7 +47,9 @@ def grained_stiffness(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int, spr
 
 
 @wp.func
-def corner_of(surface: Surface, hinges: Hinges, f: int, corner: int, springs: wp.mat33d, membrane: float) -> Corner:
+def corner_of(
+    surface: ClothSurface, hinges: Hinges, f: int, corner: int, springs: wp.mat33d, membrane: float
+) -> Corner:
     """Coupling between the edges of a face, for one of its corners."""
     across = (corner + 1) % 3
     last = (corner + 2) % 3
@@ -91,7 +93,7 @@ def side_across(opposite: wp.vec2i, i: int) -> int:
 
 
 @wp.func
-def spring_to(i: int, j: int, surface: Surface) -> int:
+def spring_to(i: int, j: int, surface: ClothSurface) -> int:
     """Position of the spring from ``i`` to ``j`` in the row of ``i``."""
     for at in range(surface.first_edge[i], surface.first_edge[i + 1]):
         ends = surface.edges[surface.vertex_edges[at]]
@@ -101,7 +103,7 @@ def spring_to(i: int, j: int, surface: Surface) -> int:
 
 
 @wp.func
-def end_weight(e: int, i: int, surface: Surface, hinges: Hinges) -> float:
+def end_weight(e: int, i: int, surface: ClothSurface, hinges: Hinges) -> float:
     """Weight of end ``i`` of a hinge in its bending vector."""
     if surface.edges[e][0] == i:
         return hinges.weights[e][0]
@@ -109,7 +111,9 @@ def end_weight(e: int, i: int, surface: Surface, hinges: Hinges) -> float:
 
 
 @wp.func
-def fill_springs(i: int, sheet: Sheet, surface: Surface, hinges: Hinges, keeper: wp.array(dtype=wp.uint8), rows: Rows):
+def fill_springs(
+    i: int, sheet: Sheet, surface: ClothSurface, hinges: Hinges, keeper: wp.array(dtype=wp.uint8), rows: Rows
+):
     """Write the springs of a vertex, without bending; returns the stiffness added by ``TAPE`` over the membrane's."""
     stiffer = float(0.0)
     for row in range(surface.first_edge[i + 1] - surface.first_edge[i]):
@@ -125,7 +129,7 @@ def fill_springs(i: int, sheet: Sheet, surface: Surface, hinges: Hinges, keeper:
 
 
 @wp.func
-def add_end_bending(i: int, surface: Surface, hinges: Hinges, rows: Rows):
+def add_end_bending(i: int, surface: ClothSurface, hinges: Hinges, rows: Rows):
     """Add the bending weights of the hinges at a vertex to its springs; returns their sum for the diagonal."""
     diagonal = float(0.0)
     for row in range(surface.first_edge[i + 1] - surface.first_edge[i]):
@@ -166,7 +170,7 @@ def bending_bound(i: int, springs: int, bends: int, diagonal: float, rows: Rows)
 @wp.kernel
 def weigh_rows(
     # model
-    surface: Surface,
+    surface: ClothSurface,
     hinges: Hinges,
     vertex_world: wp.array(dtype=int),
     keeper: wp.array(dtype=wp.uint8),

@@ -17,7 +17,7 @@ from gcd_dataset.generator.drape.kernels.geometry import (
 from gcd_dataset.generator.drape.kernels.sides import edges_passed, mark, point_passed
 from gcd_dataset.generator.drape.kernels.world import (
     RUNNING,
-    Cloth,
+    ClothArrays,
     Contacts,
     CrossingWatch,
     SearchState,
@@ -56,7 +56,7 @@ def plan_search(
 
 
 @wp.func
-def are_neighbours(i: int, j: int, cloth: Cloth) -> bool:
+def are_neighbours(i: int, j: int, cloth: ClothArrays) -> bool:
     """Whether an edge joins two vertices."""
     for at in range(cloth.first_edge[i], cloth.first_edge[i + 1]):
         ends = cloth.edges[cloth.vertex_edges[at]]
@@ -82,7 +82,7 @@ def bucket_of(cell: wp.vec3i, w: int, buckets: int) -> int:
 def fill_grid(
     # model
     worlds: wp.array(dtype=World),
-    cloth: Cloth,
+    cloth: ClothArrays,
     # state in
     searching: wp.array(dtype=int),
     tangled: wp.array(dtype=int),
@@ -108,7 +108,7 @@ def fill_grid(
 def find_near_vertices(
     # model
     worlds: wp.array(dtype=World),
-    cloth: Cloth,
+    cloth: ClothArrays,
     threads: int,
     # state in
     searching: wp.array(dtype=int),
@@ -152,7 +152,7 @@ def find_near_vertices(
 
 
 @wp.func
-def crosses_near(i: int, j: int, corner: int, cloth: Cloth, x: wp.array(dtype=wp.vec3)) -> bool:
+def crosses_near(i: int, j: int, corner: int, cloth: ClothArrays, x: wp.array(dtype=wp.vec3)) -> bool:
     """Whether an edge crosses one of the faces round a vertex."""
     for at in range(cloth.first_face[corner], cloth.first_face[corner + 1]):
         face = cloth.faces[cloth.vertex_faces[at]]
@@ -169,7 +169,7 @@ def list_point_triangle(
     f: int,
     w: int,
     world: World,
-    cloth: Cloth,
+    cloth: ClothArrays,
     tangled: wp.array(dtype=int),
     passed: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
@@ -222,7 +222,7 @@ def list_edge_edge(
     g: int,
     w: int,
     world: World,
-    cloth: Cloth,
+    cloth: ClothArrays,
     tangled: wp.array(dtype=int),
     passed: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
@@ -276,7 +276,7 @@ def count_near_work(
 def find_contacts(
     # model
     worlds: wp.array(dtype=World),
-    cloth: Cloth,
+    cloth: ClothArrays,
     threads: int,
     # state in
     tangled: wp.array(dtype=int),
@@ -315,7 +315,7 @@ def find_contacts(
 def find_long_edges(
     # model
     worlds: wp.array(dtype=World),
-    cloth: Cloth,
+    cloth: ClothArrays,
     # state in
     searching: wp.array(dtype=int),
     skin: wp.array(dtype=wp.vec4),

@@ -5,7 +5,7 @@ import warp as wp
 from gcd_dataset.generator.drape.kernels.body_contact import keep_off_body, skin_friction
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows, elastic_force
 from gcd_dataset.generator.drape.kernels.push import take_contact_weight, take_pressure, take_push
-from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, SearchState, World, sewn_share
+from gcd_dataset.generator.drape.kernels.world import RUNNING, ClothArrays, SearchState, World, sewn_share
 
 wp.set_module_options({"enable_backward": False})
 
@@ -13,7 +13,7 @@ HOLDING_SPEED = 60.0  # cm/s, speed limit of a held edge that returns to its hal
 
 
 @wp.func
-def accelerate(i: int, world: World, time: float, cloth: Cloth, v: wp.vec3, elastic: wp.vec3) -> wp.vec3:
+def accelerate(i: int, world: World, time: float, cloth: ClothArrays, v: wp.vec3, elastic: wp.vec3) -> wp.vec3:
     """Velocity after a substep under elastic forces, weight and drag [cm/s].
 
     Where forces decelerate a vertex the drag is larger: swinging and ringing end in a cycle or two, and free fall is
@@ -39,7 +39,7 @@ def limit_speed(v: wp.vec3, limit: float) -> wp.vec3:
 
 
 @wp.func
-def hold(i: int, here: wp.vec3, before: wp.vec3, world: World, cloth: Cloth) -> wp.vec3:
+def hold(i: int, here: wp.vec3, before: wp.vec3, world: World, cloth: ClothArrays) -> wp.vec3:
     """Displacement of a held vertex toward its half-space [cm]."""
     normal = cloth.hold_normal[i]
     depth = cloth.hold_offset[i] - wp.dot(here, normal)
@@ -53,7 +53,7 @@ def hold(i: int, here: wp.vec3, before: wp.vec3, world: World, cloth: Cloth) -> 
 def step(
     # model
     worlds: wp.array(dtype=World),
-    cloth: Cloth,
+    cloth: ClothArrays,
     rows: Rows,
     before_search: bool,
     # state in

@@ -8,7 +8,7 @@ from gcd_dataset.generator.drape.kernels.world import (
     DONE,
     RUNNING,
     STOPPED,
-    Cloth,
+    ClothArrays,
     CrossingWatch,
     FrameCounts,
     World,
@@ -31,7 +31,7 @@ def still_limit(world: World, frame: int) -> float:
 def watch_frame(
     # model
     worlds: wp.array(dtype=World),
-    cloth: Cloth,
+    cloth: ClothArrays,
     threads: int,
     # state in
     frames: wp.array(dtype=int),
@@ -137,7 +137,7 @@ def end_frame(
 
 @wp.kernel
 def stretch_edges(
-    cloth: Cloth,
+    cloth: ClothArrays,
     spring: wp.array(dtype=wp.vec3),
     x: wp.array(dtype=wp.vec3),
     # out

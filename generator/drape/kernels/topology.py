@@ -15,7 +15,7 @@ LARGEST_BEND_WEIGHT = 8.0  # of a hinge with two corners of about 14°; hinges o
 
 
 @wp.struct
-class Surface:
+class ClothSurface:
     """The triangles of a batch, their edges, and the edges and faces of each vertex."""
 
     faces: wp.array(dtype=wp.vec3i)
@@ -119,7 +119,7 @@ def describe_edges(
     sides: wp.array(dtype=int),
     number: wp.array(dtype=int),
     # in and out
-    surface: Surface,
+    surface: ClothSurface,
     # out
     hinges: Hinges,
 ):

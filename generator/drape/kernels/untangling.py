@@ -20,7 +20,7 @@ from gcd_dataset.generator.drape.kernels.geometry import (
     segment_crosses,
 )
 from gcd_dataset.generator.drape.kernels.push import PUSH_SCALE, WEIGHT_SCALE, add_push, add_weight
-from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, entries
+from gcd_dataset.generator.drape.kernels.world import ClothArrays, Contacts, World, entries
 
 wp.set_module_options({"enable_backward": False})
 
@@ -60,7 +60,7 @@ class Solve:
 @wp.kernel
 def push_crossings(
     # model
-    cloth: Cloth,
+    cloth: ClothArrays,
     bvh: wp.uint64,
     roots: wp.array(dtype=int),
     phase: Untangling,
@@ -177,7 +177,7 @@ def spring_block(stiffness: float, length: float, edge: wp.vec3) -> wp.mat33:
 def assemble(
     # model
     worlds: wp.array(dtype=World),
-    cloth: Cloth,
+    cloth: ClothArrays,
     rows: Rows,
     phase: Untangling,
     # state in
@@ -222,7 +222,7 @@ def assemble(
 @wp.kernel
 def multiply(
     # model
-    cloth: Cloth,
+    cloth: ClothArrays,
     rows: Rows,
     # state in
     active: wp.array(dtype=int),
@@ -308,7 +308,7 @@ def find_step_length(
 @wp.kernel
 def advance(
     # model
-    cloth: Cloth,
+    cloth: ClothArrays,
     # state in
     active: wp.array(dtype=int),
     # state in and out
@@ -345,7 +345,7 @@ def find_conjugate_share(
 @wp.kernel
 def update_direction(
     # model
-    cloth: Cloth,
+    cloth: ClothArrays,
     # state in
     active: wp.array(dtype=int),
     # state in and out
@@ -362,7 +362,7 @@ def update_direction(
 def move_cloth(
     # model
     worlds: wp.array(dtype=World),
-    cloth: Cloth,
+    cloth: ClothArrays,
     phase: Untangling,
     # state in
     active: wp.array(dtype=int),
@@ -418,7 +418,7 @@ def compare_crossings(
 @wp.kernel
 def store_improved(
     # model
-    cloth: Cloth,
+    cloth: ClothArrays,
     # state in
     improved: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),

@@ -55,7 +55,7 @@ class World:
 
 
 @wp.struct
-class Cloth:
+class ClothArrays:
     """The cloth of all worlds; ``v e f``: vertices, edges and faces of all garments together."""
 
     vertex_world: wp.array(dtype=int)

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, design_to_dict, outfit, sample_design
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, design_to_dict, draw_garment, sample_design
 from gcd_dataset.generator.garments.parameter import Choice
 
 PATHS = [leaf.path for leaf in PARAMETERS]
@@ -91,7 +91,7 @@ def test_parameters_without_effect_change_no_pattern(name: str) -> None:
     row = row_of(design_from_dict(DESIGNS[name]))
 
     def drawn(codes: np.ndarray) -> str:
-        pattern = outfit(size, decode_design(codes))
+        pattern = draw_garment(size, decode_design(codes))
         return repr((pattern.panels, pattern.seams))
 
     truth = drawn(row)
@@ -106,11 +106,11 @@ def test_parameters_without_effect_change_no_pattern(name: str) -> None:
 def test_parameters_with_effect_change_the_pattern(name: str) -> None:
     size = measure(build_body(neutral_shape()))
     row = row_of(design_from_dict(DESIGNS[name]))
-    truth = outfit(size, decode_design(row)).panels
+    truth = draw_garment(size, decode_design(row)).panels
     unchanged = []
     for path, other in changed_rows(row, effective=True):
         try:
-            unchanged += [path] if repr(outfit(size, decode_design(other)).panels) == repr(truth) else []
+            unchanged += [path] if repr(draw_garment(size, decode_design(other)).panels) == repr(truth) else []
         except PatternError:  # an ornament, which is not drawn
             assert path == "pencil-skirt.style_side_cut"
     assert not unchanged

@@ -15,7 +15,7 @@ import pytest
 from benchmarks.reconstruction.evaluate import main
 from gcd_dataset.faults import MOST_EDGES, MOST_PANELS
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.metrics import PatternScore
 from gcd_dataset.records import Edge, Pattern
 from gcd_dataset.spec import spec_from_pattern, write_pattern
@@ -248,7 +248,7 @@ def test_a_preset_that_is_no_number_says_why(tmp_path: Path, truth: Path, capsys
 
 def test_the_headline_counts_right_drapes_of_all_garments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A copy, a copy without one seam, and no prediction: a third."""
-    skirt = outfit(measure(build_body(neutral_shape())), design_from_dict({"meta": {"bottom": "PencilSkirt"}}))
+    skirt = draw_garment(measure(build_body(neutral_shape())), design_from_dict({"meta": {"bottom": "PencilSkirt"}}))
     true = save(tmp_path / "true", dict.fromkeys("abc", skirt))
     ours = save(tmp_path / "ours", {"a": skirt, "b": replace(skirt, seams=skirt.seams[:-1])})
     options = ("--drape", "--resolution", 8, "--device", "cpu", "--json", tmp_path / "out.json")

@@ -19,7 +19,7 @@ from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, design_to_dict, outfit, sample_design
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, design_to_dict, draw_garment, sample_design
 from gcd_dataset.generator.garments.parameter import Choice, plain
 from gcd_dataset.measurements import MEASURES, Measurements
 from gcd_dataset.metrics import score_pattern
@@ -151,13 +151,15 @@ def test_mirrored_codes_draw_the_mirror_image() -> None:
         design = sample_design(np.random.default_rng(seed))
         targets = targets_of(design)
         try:
-            image = outline(outfit(sizes, design)) * [-1, 1, 1]
+            image = outline(draw_garment(sizes, design)) * [-1, 1, 1]
         except GcdError:
             continue
         if augmentation.can_mirror(targets).item():
             codes = augmentation.mirrored(targets, torch.tensor([True])).codes[0].numpy()
             bottom = plain(design.meta.bottom)
-            assert apart(outline(outfit(sizes, decode_design(codes))), image) < (1.1 if bottom == "GodetSkirt" else 0.5)
+            assert apart(outline(draw_garment(sizes, decode_design(codes))), image) < (
+                1.1 if bottom == "GodetSkirt" else 0.5
+            )
             kinds.add(bottom)
             cuts += bool(targets.effective[0, PATHS.index("flare-skirt.cut.place")])
         else:
@@ -178,8 +180,8 @@ def test_scaled_codes_draw_the_scaled_panels_on_the_scaled_body() -> None:
         scaled = augmentation.scaled(targets, torch.tensor([factor]))
         larger = Measurements.from_file_values(dict(zip(MEASURES, scaled.measures[0].tolist(), strict=True)))
         try:
-            small = outfit(Measurements.from_file_values(body), design)
-            large = outfit(larger, decode_design(scaled.codes[0].numpy()))
+            small = draw_garment(Measurements.from_file_values(body), design)
+            large = draw_garment(larger, decode_design(scaled.codes[0].numpy()))
         except GcdError:
             continue
         names = sorted(panel.name for panel in small.panels)  # the order of panels depends on their places

@@ -30,7 +30,7 @@ from benchmarks.reconstruction.scoring.garments import (
 from gcd_dataset.curves import Cubic
 from gcd_dataset.errors import BodyError, GcdError, SpecError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape, write_measurements
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.records import Edge, Panel, Pattern, Placement, Seam
 from tests.test_metrics import SAME, each, garment
 
@@ -38,7 +38,7 @@ from tests.test_metrics import SAME, each, garment
 @pytest.fixture(scope="module")
 def skirt() -> Pattern:
     """A pencil skirt of the neutral body, with darts."""
-    return outfit(measure(build_body(neutral_shape())), design_from_dict({"meta": {"bottom": "PencilSkirt"}}))
+    return draw_garment(measure(build_body(neutral_shape())), design_from_dict({"meta": {"bottom": "PencilSkirt"}}))
 
 
 # --------------------------------------------------------------------------------------------------------------- files

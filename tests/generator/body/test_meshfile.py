@@ -164,17 +164,9 @@ MALFORMED = {
     "short.stl": (bytes(80) + struct.pack("<I", 10**9) + bytes(50), ""),
     "words.stl": (b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\nendloop\nendfacet\nendsolid\n", ""),
     "normal.stl": (b"solid a\nfacet normal 0 0 x\nouter loop\nvertex 0 0 0\nvertex 0 nan 0\nvertex 9 0 0\n", ""),
-    "nothing.glb": (b"", "not binary glTF 2.0"),
-    "deep.glb": (glb(b"[" * 100_000), "levels deep"),
-    "list.glb": (glb([1]), "its JSON is not an object"),
+    "nothing.glb": (b"", "cannot be read as GLB"),
     "empty.glb": (glb({}), ""),
-    "parts.glb": (glb({"nodes": {"a": 1}}), "its nodes are not a list of objects"),
-    "huge.glb": (glb({"accessors": [{"count": 10**12, "componentType": 5126, "type": "VEC3"}]}), "more numbers than"),
-    "loop.glb": (glb({"nodes": [{"children": [1]}, {"children": [0]}]}), "contain each other"),
-    "shared.glb": (glb({"nodes": [{"children": [2]}, {"children": [2]}, {}]}), "are not a tree"),
     "packed.glb": (glb({"extensionsUsed": ["KHR_draco_mesh_compression"]}), "export it without compression"),
-    "many.glb": (glb({**NODE, "nodes": [{"mesh": 0}] * 9000}, bytes(36)), ""),
-    "odd.glb": (glb({**NODE, "nodes": [{"mesh": 7}]}), "a missing mesh"),
     "file.glb": (glb({**NODE, "nodes": [{"mesh": 0}], "buffers": [{"uri": "/etc/passwd", "byteLength": 36}]}), ""),
 }
 

@@ -11,10 +11,10 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.generator.captions import caption, captions, garment_facts, say
 from gcd_dataset.generator.captions.facts import AT_KNEE, KNEE_HEIGHT
 from gcd_dataset.generator.captions.sentences import MOST_SHORT_WORDS
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.circle_skirt import VISIBLE_CUT
 from gcd_dataset.generator.garments.description import RUFFLES
-from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom
 from gcd_dataset.records import Panel, Pattern
 from tests.generator.garments.conftest import OUTFITS, WOMAN
@@ -38,7 +38,7 @@ def test_every_garment_of_the_wardrobe_has_captions(wardrobe: list[Worn]) -> Non
 @pytest.mark.parametrize("name", OUTFITS)
 def test_the_outfits_of_the_battery_have_captions(name: str) -> None:
     design = design_from_dict(OUTFITS[name])
-    texts = captions(WOMAN, design, outfit(WOMAN, design))
+    texts = captions(WOMAN, design, draw_garment(WOMAN, design))
     assert all(texts.values())
 
 

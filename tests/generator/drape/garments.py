@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.drape import DrapeJob, drape_batch
-from gcd_dataset.generator.garments import GarmentDesign, outfit
+from gcd_dataset.generator.garments import GarmentDesign, draw_garment
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Body, BodyPart, BoxMesh, Drape, Measurements
@@ -98,7 +98,7 @@ def wear(design: GarmentDesign, *, cut_for: Measurements | None = None, spacing:
     legs_apart = design.meta.bottom is Bottom.PANTS
     body, size = neutral(legs_apart=legs_apart)
     other = cut_for or size
-    mesh = build_box_mesh(outfit(other, design), spacing=spacing)
+    mesh = build_box_mesh(draw_garment(other, design), spacing=spacing)
     mesh = replace(mesh, vertices=mesh.vertices - [0.0, other.waist_level - size.waist_level, 0.0])
     [drape] = drape_batch([DrapeJob(mesh, body, size)], device="cpu", at_once=1)
     return Worn(mesh, drape, body)

@@ -9,10 +9,10 @@ import pytest
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.dressing import dress, has_legs
+from gcd_dataset.generator.dressing.frame import wearer_of
 from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan
 from gcd_dataset.generator.dressing.openings import openings_of
-from gcd_dataset.generator.dressing.wearer import wearer_of
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.records import Body, Edge, EdgeRef, Measurements, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
 from tests.generator.dressing.test_openings import rectangle, tube
@@ -147,7 +147,7 @@ def test_a_skirt_with_panels_centred_about_a_seam_is_placed(wearer: tuple[Body, 
     """The outer panels of the skirt are taken for sleeves with the zero vector as direction."""
     section = {"suns": 0.5, "length": 0.5, "skirt-many-panels": {"n_panels": 13}}
     design = design_from_dict({"meta": {"upper": None, "bottom": "SkirtManyPanels"}, "flare-skirt": section})
-    skirt = bared(outfit(wearer[1], design), placed=False)
+    skirt = bared(draw_garment(wearer[1], design), placed=False)
     assert np.isfinite([panel.placement.translation for panel in dress(skirt, *wearer).pattern.panels]).all()
 
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.generator.body import named_body
-from gcd_dataset.generator.dressing.frame import in_body_frame, moved, placed_outline
-from gcd_dataset.generator.dressing.wearer import Wearer, wearer_of
+from gcd_dataset.generator.dressing.frame import Wearer, in_body_frame, moved, placed_outline, wearer_of
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import EdgeRef, Pattern, Seam

@@ -11,11 +11,10 @@ from scipy.spatial import cKDTree
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
-from gcd_dataset.generator.dressing.rolled_sleeve import roll_round_limb
 from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_start
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
-from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
-from gcd_dataset.generator.garments import GarmentDesign, outfit
+from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb, roll_round_limb
+from gcd_dataset.generator.garments import GarmentDesign, draw_garment
 from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
 from gcd_dataset.generator.garments.design import MetaDesign
@@ -57,7 +56,7 @@ WIDE_SHIRT = GarmentDesign(meta=MetaDesign(upper=Upper.SHIRT), shirt=ShirtDesign
 
 
 def mesh_of(design: GarmentDesign) -> BoxMesh:
-    return build_box_mesh(outfit(neutral()[1], design), spacing=2.5)
+    return build_box_mesh(draw_garment(neutral()[1], design), spacing=2.5)
 
 
 def vertices_of(mesh: BoxMesh, role: PanelRole) -> Int[np.ndarray, " n"]:
@@ -229,7 +228,7 @@ def test_the_end_of_a_moved_sleeve_is_straight() -> None:
 def test_trouser_legs_start_round_the_legs_and_end_at_the_ankles() -> None:
     design = GarmentDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, flare=0.6))
     body = build_body(replace(neutral_shape(), legs_apart=True))
-    mesh = build_box_mesh(outfit(neutral()[1], design), spacing=2.5)
+    mesh = build_box_mesh(draw_garment(neutral()[1], design), spacing=2.5)
     start = sewing_start(mesh, body)
     leg = leg_of(body, BodyPart.LEFT_LEG)
     assert leg is not None

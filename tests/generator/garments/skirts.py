@@ -7,7 +7,7 @@ import numpy as np
 
 from gcd_dataset.curves import curve_length
 from gcd_dataset.faults import Severity, check_pattern
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.records import Measurements, Panel, Pattern
@@ -19,7 +19,9 @@ def skirt(
     size: Measurements, kind: Bottom, sections: Mapping[str, Any], *, mends: frozenset[Mend] = ALL_MENDS
 ) -> Pattern:
     """The pattern of a skirt alone."""
-    return outfit(size, design_from_dict({"meta": {"upper": None, "bottom": kind.value}, **sections}), mends=mends)
+    return draw_garment(
+        size, design_from_dict({"meta": {"upper": None, "bottom": kind.value}, **sections}), mends=mends
+    )
 
 
 def length(panel: Panel, edge: str) -> float:

@@ -14,7 +14,7 @@ from gcd_dataset.generator.garments import (
     Reject,
     design_from_dict,
     design_to_dict,
-    outfit,
+    draw_garment,
     sample_design,
     try_on,
 )
@@ -112,7 +112,7 @@ def labels_that_a_drape_needs_are_present(pattern: Pattern, design: GarmentDesig
 
 
 def test_a_garment_can_be_sewn_and_draped_on_every_wearer(wearer: Measurements, design: GarmentDesign) -> None:
-    pattern = outfit(wearer, design)
+    pattern = draw_garment(wearer, design)
     loops_are_closed_and_seen_from_outside(pattern)
     assert require_valid(pattern)
     seams_sew_each_edge_once_right_sides_together(pattern)
@@ -150,13 +150,13 @@ def a_spec_holds_no_negative_zeros(pattern: Pattern) -> None:
 
 
 def test_a_garment_is_placed_round_a_woman_and_its_files_repeat(woman: Measurements, design: GarmentDesign) -> None:
-    pattern = outfit(woman, design)
+    pattern = draw_garment(woman, design)
     sewn_edges_face_each_other(pattern)
     panels_are_placed_on_their_side_of_the_body(pattern, woman)
     if design.meta.bottom is not Bottom.PANTS:
         # The hem of trousers without flare begins at -0.0, in the bytes of published data sets too.
         a_spec_holds_no_negative_zeros(pattern)
-    first, second = (json.dumps(spec_from_pattern(drawn)) for drawn in (pattern, outfit(woman, design)))
+    first, second = (json.dumps(spec_from_pattern(drawn)) for drawn in (pattern, draw_garment(woman, design)))
     assert first == second
     assert design_from_dict(json.loads(json.dumps(design_to_dict(design)))) == design
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import Arc, curve_length, curve_points
 from gcd_dataset.generator.body import read_measurements
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.collar import RAISED, Collar, hood_outline
 from gcd_dataset.generator.garments.design import read_design
 from gcd_dataset.generator.pattern import s_shaped_cubic
@@ -34,7 +34,7 @@ def top(
 ) -> Pattern:
     """A sleeveless top; its collar has the given style and parameters."""
     neckline = {**collar, "component": {**component, "style": style}}
-    return outfit(size, design_from_dict({"meta": {"upper": upper}, "collar": neckline}))
+    return draw_garment(size, design_from_dict({"meta": {"upper": upper}, "collar": neckline}))
 
 
 def round_length(half_width: float, depth: float) -> float:
@@ -211,7 +211,7 @@ def test_collars_are_mirror_images(woman: Measurements, style: str) -> None:
 
 def test_an_asymmetric_top_has_no_collar(woman: Measurements) -> None:
     values = {"meta": {"upper": "Shirt"}, "left": {"enable_asym": True}, "collar": {"component": {"style": "Turtle"}}}
-    assert all("torso" in panel.name for panel in outfit(woman, design_from_dict(values)).panels)
+    assert all("torso" in panel.name for panel in draw_garment(woman, design_from_dict(values)).panels)
 
 
 @BODIES
@@ -222,7 +222,7 @@ def test_collars_of_the_reference(examples: Path, example: str, body: str) -> No
     design = replace(
         design, meta=replace(design.meta, wb=None, bottom=None), sleeve=replace(design.sleeve, sleeveless=True)
     )
-    ours = outfit(read_measurements(folder / "body_measurements.yaml"), design)
+    ours = draw_garment(read_measurements(folder / "body_measurements.yaml"), design)
     theirs = read_pattern(next(folder.glob("*_specification.json")))
     for panel in (panel for panel in ours.panels if "collar" in panel.name or "hood" in panel.name):
         other = theirs.panel(panel.name)

@@ -6,7 +6,7 @@ import pytest
 
 from gcd_dataset.curves import curve_length
 from gcd_dataset.generator.garments import design_from_dict
-from gcd_dataset.generator.garments.outfit import bottom_rise
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.records import Measurements
 from tests.generator.garments.skirts import BOTH, ends, length, lengths, skirt

@@ -12,12 +12,11 @@ from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.section import girth, section
 from gcd_dataset.generator.drape import DrapeConfig
 from gcd_dataset.generator.drape.fabrics import STIFFEST, Fabric
-from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, outfit
-from gcd_dataset.generator.garments.load import FRICTION, STIFFNESS, hip_load, strap_stretch
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, draw_garment
 from gcd_dataset.generator.garments.rules import broken_by_weight, is_too_tight
 from gcd_dataset.generator.garments.sampling import attempted_design
 from gcd_dataset.generator.garments.sewable import CLOTH_GIVES, CLOTH_OFF_SKIN, girth_of_cloth
-from gcd_dataset.generator.garments.tightness import rings, trunk_rings
+from gcd_dataset.generator.garments.tightness import FRICTION, STIFFNESS, hip_load, rings, strap_stretch, trunk_rings
 from gcd_dataset.generator.garments.trunk import girth_below_waist
 from gcd_dataset.generator.garments.wardrobe import Upper
 from gcd_dataset.records import BodyPart, Measurements, Panel
@@ -52,7 +51,7 @@ def test_the_limits_are_those_of_the_drape() -> None:
 def test_a_strap_is_stretched_by_weight_over_width_and_stiffness(woman: Measurements) -> None:
     """Hooke's law: all of the cloth hangs from the shoulder edges of four panels."""
     design = designed(DRESS, flare_skirt={"length": 0.5})
-    drawn = outfit(woman, design)
+    drawn = draw_garment(woman, design)
     edges = [(panel, i) for panel in drawn.panels for i, edge in enumerate(panel.edges) if edge.name == "shoulder"]
     width = 0.01 * sum(float(panel.edge_lengths()[i]) for panel, i in edges)
     newtons = Fabric().density * 9.81 * sum(map(area, drawn.panels))

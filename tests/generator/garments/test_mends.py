@@ -10,7 +10,7 @@ import pytest
 
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.faults import Rule, check_pattern
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.drawn import hem_depth
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.waistband import Waistband
@@ -50,7 +50,7 @@ def test_the_hem_hangs_where_the_length_says_with_any_waistband(
         values = STRAIGHT | {"meta": {"bottom": kind.value, "wb": band and band.value}, "waistband": {"width": width}}
         section = SECTION.get(kind, "flare-skirt")
         design = design_from_dict(values | {section: STRAIGHT[section] | {"rise": rise}})
-        pattern = outfit(wearer, design)
+        pattern = draw_garment(wearer, design)
         height = length(pattern.panel("wb_back"), "right") if band else 0.0
         top = min(rise + width, 1.0) if band else rise
         worn = top * wearer.hips_line + 0.6 * wearer.leg_length
@@ -84,7 +84,9 @@ def test_darts_under_half_a_centimetre_are_folded_into_the_side(
     narrow = set()
     for size in narrowing(woman):
         design = design_from_dict({"meta": values, "godet-skirt": {"insert_depth": 10}})
-        unmended, mended = (outfit(size, design, mends=mends) for mends in (ALL_MENDS - {Mend.FOLDED_DART}, ALL_MENDS))
+        unmended, mended = (
+            draw_garment(size, design, mends=mends) for mends in (ALL_MENDS - {Mend.FOLDED_DART}, ALL_MENDS)
+        )
         for panel in mended.panels:
             assert length(panel, top) == pytest.approx(length(unmended.panel(panel.name), top), abs=0.01)
         before, after = check_pattern(unmended), check_pattern(mended)
@@ -96,7 +98,7 @@ def test_darts_under_half_a_centimetre_are_folded_into_the_side(
 def test_the_shortest_trousers_under_a_band_down_to_the_hips_have_their_length(woman: Measurements) -> None:
     """A centimetre above the hips is drawn, and a centimetre less below them."""
     values = {"meta": {"bottom": "Pants", "wb": "StraightWB"}, "waistband": {"width": 1.0}, "pants": {"length": 0.2}}
-    pattern = outfit(woman, design_from_dict(values))
+    pattern = draw_garment(woman, design_from_dict(values))
     assert not [fault for fault in check_pattern(pattern) if fault.rule is not Rule.SEAM_LENGTHS]
     side = sum(length(pattern.panel("pant_f_r"), edge) for edge in ("outside", "hip"))
     assert side == pytest.approx(0.2 * woman.leg_length, abs=0.1)

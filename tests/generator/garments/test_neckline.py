@@ -12,7 +12,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import curve_points, sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import read_measurements
-from gcd_dataset.generator.garments import outfit
+from gcd_dataset.generator.garments import draw_garment
 from gcd_dataset.generator.garments.collar import Collar, CollarDesign
 from gcd_dataset.generator.garments.design import read_design
 from gcd_dataset.generator.garments.neckline import (
@@ -210,7 +210,7 @@ def test_necklines_of_the_reference(examples: Path, example: str, body: str) -> 
     folder = examples / "patterns" / example / body
     design = read_design(folder / "design_params.yaml")
     design = replace(design, meta=replace(design.meta, wb=None, bottom=None))
-    ours = outfit(read_measurements(folder / "body_measurements.yaml"), design)
+    ours = draw_garment(read_measurements(folder / "body_measurements.yaml"), design)
     theirs = read_pattern(next(folder.glob("*_specification.json")))
     for name in ("right_ftorso", "right_btorso", "left_ftorso", "left_btorso"):
         assert neck(ours.panel(name)) == pytest.approx(neck(theirs.panel(name)), abs=0.01)

@@ -11,9 +11,9 @@ from gcd_dataset.curves import Line, sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import check_pattern
 from gcd_dataset.generator.body import read_measurements
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign
 from gcd_dataset.generator.garments.design import read_design
-from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.pants import PANTS, PantsDesign, pants
 from gcd_dataset.generator.pattern import Piece, assemble
 from gcd_dataset.records import Measurements, Panel

@@ -11,9 +11,9 @@ from gcd_dataset.generator.garments import GarmentDesign, Redraw, attempted_desi
 from gcd_dataset.generator.garments.design import Kind, kind_of
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
-from gcd_dataset.generator.garments.redrawing import TRIES, Redrawing, Remedy
 from gcd_dataset.generator.garments.sewable import SewingFault
 from gcd_dataset.generator.garments.space import leaves, value_at
+from gcd_dataset.generator.garments.wearable import TRIES, Redrawing, Remedy
 from gcd_dataset.records import Measurements, Pattern
 
 SHORT, NARROW = Remedy(("sleeve.length",)), Remedy(("shirt.width",))

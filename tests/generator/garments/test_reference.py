@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import curve_length, sample_curve
 from gcd_dataset.generator.body import read_measurements
-from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, design_to_dict, outfit, read_design
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, design_to_dict, draw_garment, read_design
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign, waistband
 from gcd_dataset.generator.pattern import assemble
@@ -77,7 +77,7 @@ def seams(pattern: Pattern, panels: set[str]) -> set[frozenset[tuple[str, int]]]
 @BODIES
 def test_circle_skirt_with_fitted_waistband(examples: Path, body: str) -> None:
     size, design, reference = load(examples / "patterns" / "circle_skirt" / body, ROUND)
-    ours = outfit(size, design, mends=ALL_MENDS - {Mend.WORN_LENGTH})
+    ours = draw_garment(size, design, mends=ALL_MENDS - {Mend.WORN_LENGTH})
     assert [panel.name for panel in ours.panels] == [panel.name for panel in reference.panels]
     assert seams(ours, {p.name for p in ours.panels}) == seams(reference, {p.name for p in reference.panels})
     assert not any(seam.right_wrong for seam in (*ours.seams, *reference.seams))

@@ -17,7 +17,7 @@ from gcd_dataset.generator.garments import (
     Reject,
     check_design,
     design_from_dict,
-    outfit,
+    draw_garment,
     try_on,
 )
 from gcd_dataset.generator.garments.pants import cuff_and_leg_girth
@@ -47,7 +47,7 @@ def reasons_of(size: Measurements, design: GarmentDesign) -> list[str]:
 def test_a_waistband_alone_is_rejected(woman: Measurements, wb: str | None) -> None:
     found = try_on(woman, design_from_dict({"meta": {"wb": wb}}))
     assert isinstance(found, Reject)
-    assert str(found).startswith("empty: an outfit without upper and bottom")
+    assert str(found).startswith("empty: a garment without upper and bottom")
 
 
 def test_a_plain_shirt_can_be_worn(woman: Measurements) -> None:
@@ -155,7 +155,7 @@ def test_a_cuff_too_tight_for_the_leg_is_rejected(woman: Measurements, top_ruffl
     cuff = {"type": "CuffBand", "cuff_len": 0.5, "top_ruffle": top_ruffle}
     design = {"meta": {"upper": None, "bottom": "Pants"}, "pants": {"length": 0.9, "cuff": cuff}}
     assert reasons(woman, design) == (["tight_cuff"] if tight else [])
-    pattern = outfit(woman, design_from_dict(design))
+    pattern = draw_garment(woman, design_from_dict(design))
     drawn = [panel for panel in pattern.panels if panel.name in ("pant_r_cuff_f", "pant_r_cuff_b")]
     tops = [panel.edge_lengths()[i] for panel in drawn for i, e in enumerate(panel.edges) if e.name == "top"]
     assert cuff_and_leg_girth(woman, design_from_dict(design).pants, 1.0)[0] == pytest.approx(sum(tops))
@@ -176,7 +176,7 @@ def test_a_shoulder_seam_under_three_centimetres_is_rejected(woman: Measurements
 def test_the_widest_neckline_leaves_three_centimetres_of_shoulder(woman: Measurements, upper: str) -> None:
     wide = design_from_dict({"meta": {"upper": upper}, "collar": {"width": 1.0}, "shirt": {"width": 1.3}})
     width = widest_neckline(woman, wide, wide.right_half())
-    pattern = outfit(woman, replace(wide, collar=replace(wide.collar, width=width)))
+    pattern = draw_garment(woman, replace(wide, collar=replace(wide.collar, width=width)))
     seams = [
         panel.edge_lengths()[i]
         for panel in pattern.panels
@@ -242,7 +242,7 @@ def test_a_gathered_cuff_skirt_too_tight_for_the_arm_is_rejected(
 def test_the_corners_of_a_panel_of_more_than_half_a_circle_are_inside(woman: Measurements) -> None:
     """Its corners alone, without its arcs, run the other way round."""
     skirt = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1.9}})
-    front = outfit(woman, skirt).panel("skirt_front")
+    front = draw_garment(woman, skirt).panel("skirt_front")
     assert corner_angles([edge_hulls(front)]) == pytest.approx([90.0] * 4, abs=1.0)
 
 
@@ -252,14 +252,14 @@ def test_a_neckline_near_the_armhole_leaves_no_strap(woman: Measurements) -> Non
     first = next(number for number, (_, rules) in enumerate(found) if rules)
     assert found[first][1] == ["narrow_strap"]
     assert all(rules for _, rules in found[first:])
-    pattern = outfit(woman, design_from_dict(deep_back(found[first][0])))
+    pattern = draw_garment(woman, design_from_dict(deep_back(found[first][0])))
     assert 0.0 < strap_width(pattern.panel("right_btorso")) < NARROWEST_STRAP
 
 
 def test_hulls_far_apart_leave_a_wide_strap(woman: Measurements) -> None:
     for depth in np.linspace(0.0, 1.9, 20):
         try:
-            pattern = outfit(woman, design_from_dict(deep_back(depth)))
+            pattern = draw_garment(woman, design_from_dict(deep_back(depth)))
         except PatternError:
             continue
         for panel in pattern.panels:

@@ -10,11 +10,11 @@ import pytest
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.garments import GarmentDesign, Kind, Reject, sample_design, sample_kind, try_on
 from gcd_dataset.generator.garments.overlay import Overlay
-from gcd_dataset.generator.garments.redrawing import Redraw
 from gcd_dataset.generator.garments.rules import DrawnGarment, check_design, garment_length, room_to_floor
 from gcd_dataset.generator.garments.sampling import attempted_design, drafted_design
 from gcd_dataset.generator.garments.space import to_dict
 from gcd_dataset.generator.garments.wardrobe import Upper
+from gcd_dataset.generator.garments.wearable import Redraw
 from gcd_dataset.records import Measurements
 from gcd_dataset.seeding import Stage, rng
 

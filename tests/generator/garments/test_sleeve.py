@@ -9,7 +9,7 @@ import pytest
 
 from gcd_dataset.curves import curve_length
 from gcd_dataset.faults import SHORTEST_EDGE
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.records import Measurements, Panel, Pattern
 
@@ -28,7 +28,7 @@ ARMS: dict[str, dict[str, Any]] = {
 def sleeved(size: Measurements, *, upper: str = "Shirt", mends: frozenset[Mend] = ALL_MENDS, **sleeve: Any) -> Pattern:
     """A shirt with long sleeves; ``sleeve`` changes parameters of the sleeves."""
     values = {"meta": {"upper": upper}, "sleeve": {"length": 0.7, "sleeveless": False} | sleeve}
-    return outfit(size, design_from_dict(values), mends=mends)
+    return draw_garment(size, design_from_dict(values), mends=mends)
 
 
 def edge_lengths(panel: Panel, name: str) -> list[float]:
@@ -114,7 +114,7 @@ def test_a_shoulder_stands_only_where_the_sleeve_hangs(woman: Measurements) -> N
 
 def test_a_left_sleeve_can_differ(woman: Measurements) -> None:
     left = {"enable_asym": True, "sleeve": {"sleeveless": False, "length": 0.4, "cuff": {"type": "CuffSkirt"}}}
-    pattern = outfit(woman, design_from_dict({"meta": {"upper": "Shirt"}, "left": left}))
+    pattern = draw_garment(woman, design_from_dict({"meta": {"upper": "Shirt"}, "left": left}))
     names = {panel.name for panel in pattern.panels if "torso" not in panel.name}
     assert names == {"left_sleeve_f", "left_sleeve_b", "sl_left_cuff_skirt_f", "sl_left_cuff_skirt_b"}
     assert all(panel.placement.translation[0] > 0 for panel in pattern.panels if "torso" not in panel.name)
@@ -132,7 +132,7 @@ def test_a_surplus_of_the_front_moves_to_the_back_if_it_can_be_sewn(woman: Measu
 
 def test_a_sleeve_starts_clear_of_a_wide_shirt(woman: Measurements) -> None:
     ours, reference = (
-        outfit(woman, design_from_dict({"meta": {"upper": "Shirt"}, "shirt": {"width": 1.3, "flare": 1.6},
+        draw_garment(woman, design_from_dict({"meta": {"upper": "Shirt"}, "shirt": {"width": 1.3, "flare": 1.6},
                                         "sleeve": {"sleeveless": False, "connect_ruffle": 2.0}}), mends=mends)
         for mends in (ALL_MENDS, ALL_MENDS - {Mend.SLEEVE_START})
     )  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gcd_dataset.generator.garments import TAGS, design_from_dict, garment_tags, outfit
+from gcd_dataset.generator.garments import TAGS, design_from_dict, draw_garment, garment_tags
 from gcd_dataset.generator.garments.description import Tag
 from gcd_dataset.generator.garments.drawn import hem_depth
 from gcd_dataset.records import Measurements, PanelRole, Pattern
@@ -47,7 +47,7 @@ def test_a_maxi_reaches_below_four_fifths_of_hips_to_floor(woman: Measurements, 
     assert maxis
     assert all(hem_depth(worn.size, worn.design) > 0.8 for worn in maxis)
     pencil = design_from_dict({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"length": 0.9, "flare": 1.0}})
-    pattern = outfit(woman, pencil)
+    pattern = draw_garment(woman, pencil)
     front = pattern.panel("skirt_front")
     assert "maxi" in garment_tags(woman, pencil, pattern)
     assert np.ptp(front.vertices[:, 1]) > woman.hips_line + 0.8 * woman.leg_length
@@ -86,7 +86,7 @@ def test_a_maxi_reaches_below_four_fifths_of_hips_to_floor(woman: Measurements, 
 )
 def test_styles_have_their_tailors_names(woman: Measurements, values: dict[str, Any], expected: set[str]) -> None:
     design = design_from_dict(values)
-    assert expected <= set(garment_tags(woman, design, outfit(woman, design)))
+    assert expected <= set(garment_tags(woman, design, draw_garment(woman, design)))
 
 
 def test_a_strapless_bodice_has_no_neckline(woman: Measurements) -> None:

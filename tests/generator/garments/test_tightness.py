@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, outfit
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, draw_garment
 from gcd_dataset.generator.garments.rules import Reject, has_tight_bottom, try_on
 from gcd_dataset.generator.garments.sampling import attempted_design
 from gcd_dataset.generator.garments.tightness import rings, trunk_rings
@@ -55,14 +55,14 @@ def test_a_skirt_too_narrow_for_hips_or_legs_is_rejected(woman: Measurements, na
 def test_the_hem_with_godets_is_what_is_left_of_the_hem_and_the_godets(woman: Measurements) -> None:
     design = tight("a hem with godets")
     (ring,) = [ring for ring in rings(woman, design) if ring.name == "a hem with godets"]
-    drawn = outfit(woman, design)
+    drawn = draw_garment(woman, design)
     assert ring.cloth == pytest.approx(lengths(drawn, "skirt_", "bottom") + lengths(drawn, "ins_skirt_", "hem"))
 
 
 def test_the_narrowest_ring_of_a_tapered_base_is_its_hem(woman: Measurements) -> None:
     design = tight("a pencil skirt")
     cloth = [ring.cloth for ring in rings(woman, design) if ring.name == "a pencil skirt"]
-    drawn = outfit(woman, design)
+    drawn = draw_garment(woman, design)
     base = sum(lengths(drawn, f"skirt_{side}", "bottom") for side in ("front", "back"))
     levels = sum(lengths(drawn, f"skirt_{side}_0", "bottom") for side in ("front", "back"))
     assert min(cloth) == pytest.approx(base - levels, rel=1e-3)
@@ -72,7 +72,7 @@ def test_a_skirt_without_gathers_is_as_wide_as_the_waist(woman: Measurements) ->
     design = tight("a skirt")
     own = set(rings(woman, design)) - set(trunk_rings(woman, design))
     (ring,) = own
-    assert ring.cloth == pytest.approx(lengths(outfit(woman, design), "skirt_", "bottom"))
+    assert ring.cloth == pytest.approx(lengths(draw_garment(woman, design), "skirt_", "bottom"))
     assert ring.body == woman.hips
 
 

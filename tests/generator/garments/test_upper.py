@@ -14,7 +14,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import curve_length, sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import read_measurements
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.design import read_design
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.pattern import assemble
@@ -97,7 +97,7 @@ def test_tops_equal_the_references(examples: Path, top: str, body: str) -> None:
 def test_labels_include_the_references(examples: Path, top: str) -> None:
     folder = examples / "patterns" / top / "default_body"
     size, design = read_measurements(folder / "body_measurements.yaml"), read_design(folder / "design_params.yaml")
-    ours, reference = outfit(size, design), read_pattern(folder / f"{top}_specification.json")
+    ours, reference = draw_garment(size, design), read_pattern(folder / f"{top}_specification.json")
     for name in TORSOS:
         # The reference loses the label of an edge that a seam divides; this package keeps it.
         assert labels(ours, name) >= labels(reference, name)
@@ -108,7 +108,7 @@ def test_labels_include_the_references(examples: Path, top: str) -> None:
 
 def test_a_shirt_is_as_wide_as_the_bust_and_as_long_as_asked(woman: Measurements) -> None:
     design = design_from_dict({"meta": SHIRT, "shirt": {"width": 1.1, "flare": 1.0, "length": 1.3}})
-    pattern = outfit(woman, design)
+    pattern = draw_garment(woman, design)
     assert lengths(pattern, TORSOS, "bottom") == pytest.approx(1.1 * woman.bust)
     # The armhole hangs from the shoulder line, which rises from the side's upper end to the shoulder's.
     rise = tan(woman.shoulder_incl) * (0.5 * 1.1 * woman.back_width - 0.5 * woman.sleeve_balance)
@@ -117,7 +117,7 @@ def test_a_shirt_is_as_wide_as_the_bust_and_as_long_as_asked(woman: Measurements
 
 
 def test_a_neckline_is_as_wide_as_asked(woman: Measurements) -> None:
-    panel = outfit(woman, design_from_dict({"meta": SHIRT, "collar": {"width": 0.0}})).panel("right_ftorso")
+    panel = draw_garment(woman, design_from_dict({"meta": SHIRT, "collar": {"width": 0.0}})).panel("right_ftorso")
     (neck,) = (i for i, edge in enumerate(panel.edges) if edge.name == "neck")
     start, end = panel.edge_ends(neck)
     assert abs(start[0] - end[0]) == pytest.approx(0.5 * woman.neck_w)
@@ -126,27 +126,27 @@ def test_a_neckline_is_as_wide_as_asked(woman: Measurements) -> None:
 def test_a_neckline_wider_than_the_shirt_is_refused(woman: Measurements) -> None:
     broad = replace(woman, neck_w=60.0)
     with pytest.raises(PatternError, match=r"narrow collar\.width"):
-        outfit(broad, design_from_dict({"meta": SHIRT, "collar": {"width": 0.0}}))
+        draw_garment(broad, design_from_dict({"meta": SHIRT, "collar": {"width": 0.0}}))
 
 
 def test_shoulders_wider_than_the_shirt_are_refused(woman: Measurements) -> None:
     broad = replace(woman, shoulder_w=70.0)
     with pytest.raises(PatternError, match=r"has no room for armholes 34\.0 cm from the centre: raise shirt\.width"):
-        outfit(broad, design_from_dict({"meta": SHIRT}))
+        draw_garment(broad, design_from_dict({"meta": SHIRT}))
 
 
 @pytest.mark.parametrize("kind", ["ArmholeSquare", "ArmholeAngle", "ArmholeCurve"])
 @pytest.mark.parametrize("meta", [SHIRT, FITTED])
 def test_armholes_of_all_shapes_end_at_the_same_places(woman: Measurements, meta: dict[str, str], kind: str) -> None:
-    plain = outfit(woman, design_from_dict({"meta": meta}))
-    shaped = outfit(woman, design_from_dict({"meta": meta, "sleeve": {"armhole_shape": kind}}))
+    plain = draw_garment(woman, design_from_dict({"meta": meta}))
+    shaped = draw_garment(woman, design_from_dict({"meta": meta, "sleeve": {"armhole_shape": kind}}))
     for name in TORSOS:
         for edge in ("side", "shoulder", "centre"):
             assert lengths(shaped, (name,), edge) == pytest.approx(lengths(plain, (name,), edge))
 
 
 def test_a_square_armhole_goes_in_and_then_up(woman: Measurements) -> None:
-    pattern = outfit(woman, design_from_dict({"meta": SHIRT, "sleeve": {"armhole_shape": "ArmholeSquare"}}))
+    pattern = draw_garment(woman, design_from_dict({"meta": SHIRT, "sleeve": {"armhole_shape": "ArmholeSquare"}}))
     inwards, upwards = sorted(edge_lengths(pattern.panel("left_btorso"), "armhole"))
     assert inwards == pytest.approx(0.5 * (1.05 * woman.back_width - woman.sleeve_balance))
     assert upwards == pytest.approx(1.2 * woman.eased_armscye_depth)
@@ -156,7 +156,7 @@ def test_a_square_armhole_goes_in_and_then_up(woman: Measurements) -> None:
 
 
 def test_a_fitted_shirt_closes_around_the_waist(wearer: Measurements) -> None:
-    pattern = outfit(wearer, design_from_dict({"meta": FITTED}))
+    pattern = draw_garment(wearer, design_from_dict({"meta": FITTED}))
     fronts, backs = TORSOS[:2], TORSOS[2:]
     assert lengths(pattern, fronts, "bottom") == pytest.approx(wearer.waist - wearer.waist_back_width)
     # The back's waist is curved, and so a little longer than a straight line.
@@ -164,7 +164,7 @@ def test_a_fitted_shirt_closes_around_the_waist(wearer: Measurements) -> None:
 
 
 def test_the_legs_of_every_dart_are_sewn_to_each_other(wearer: Measurements) -> None:
-    pattern = outfit(wearer, design_from_dict({"meta": FITTED}))
+    pattern = draw_garment(wearer, design_from_dict({"meta": FITTED}))
     for name in TORSOS:
         panel = pattern.panel(name)
         legs = {
@@ -179,7 +179,7 @@ def test_the_legs_of_every_dart_are_sewn_to_each_other(wearer: Measurements) -> 
 
 
 def test_the_side_dart_points_at_the_bust(woman: Measurements) -> None:
-    panel = outfit(woman, design_from_dict({"meta": FITTED})).panel("left_ftorso")
+    panel = draw_garment(woman, design_from_dict({"meta": FITTED})).panel("left_ftorso")
     legs = [i for i, edge in enumerate(panel.edges) if edge.name.startswith("side_dart")]
     tip = panel.edge_ends(min(legs))[1]
     under, over = panel.edge_ends(min(legs))[0], panel.edge_ends(max(legs))[1]
@@ -189,7 +189,7 @@ def test_the_side_dart_points_at_the_bust(woman: Measurements) -> None:
 
 def test_a_waist_as_wide_as_the_bust_needs_no_dart(woman: Measurements) -> None:
     stout = replace(woman, waist=woman.bust + 4.0, waist_back_width=woman.back_width + 1.0)
-    pattern = outfit(stout, design_from_dict({"meta": FITTED}))
+    pattern = draw_garment(stout, design_from_dict({"meta": FITTED}))
     assert {edge.name for name in TORSOS for edge in pattern.panel(name).edges if "dart" in edge.name} == {
         "side_dart.0",
         "side_dart.1",
@@ -200,14 +200,14 @@ def test_a_waist_as_wide_as_the_bust_needs_no_dart(woman: Measurements) -> None:
 def test_measures_without_room_for_a_side_dart_are_refused(woman: Measurements) -> None:
     flat = replace(woman, waist_over_bust_line=woman.waist_line)
     with pytest.raises(PatternError, match=r"right_ftorso: waist_over_bust_line of 35\.8 cm leaves no side dart"):
-        outfit(flat, design_from_dict({"meta": FITTED}))
+        draw_garment(flat, design_from_dict({"meta": FITTED}))
 
 
 @pytest.mark.parametrize("sleeveless", [True, False])
 @pytest.mark.parametrize("meta", [SHIRT, FITTED])
 def test_the_deepest_armhole_leaves_side_to_sew(wearer: Measurements, meta: dict[str, str], sleeveless: bool) -> None:
     arm = {"connecting_width": 2.0, "sleeveless": sleeveless}
-    pattern = outfit(wearer, design_from_dict({"meta": meta, "sleeve": arm, "shirt": {"length": 0.7}}))
+    pattern = draw_garment(wearer, design_from_dict({"meta": meta, "sleeve": arm, "shirt": {"length": 0.7}}))
     for name in TORSOS:
         assert min(edge_lengths(pattern.panel(name), "side")) >= 1.0 - 1e-9
 
@@ -217,14 +217,14 @@ def test_the_reference_cuts_through_the_side_of_a_back(woman: Measurements) -> N
     with pytest.raises(
         PatternError, match=r"an armhole 22\.9 cm deep .* room for 22\.8 cm: lower sleeve\.connecting_width"
     ):
-        outfit(woman, design, mends=ALL_MENDS - {left_out})
+        draw_garment(woman, design, mends=ALL_MENDS - {left_out})
 
 
 # ---------------------------------------------------------------------------------------------------- strapless, uneven
 
 
 def test_sides_of_a_strapless_top_are_equally_long(wearer: Measurements) -> None:
-    pattern = outfit(wearer, design_from_dict(STRAPLESS))
+    pattern = draw_garment(wearer, design_from_dict(STRAPLESS))
     front, back = (lengths(pattern, (name,), "side") for name in ("right_ftorso", "right_btorso"))
     assert front == pytest.approx(back)
     assert all(labels(pattern, name) == {"strapless_top"} for name in TORSOS)
@@ -232,20 +232,22 @@ def test_sides_of_a_strapless_top_are_equally_long(wearer: Measurements) -> None
 
 
 def test_a_strapless_back_without_depth_ends_at_the_level_of_the_shoulder(woman: Measurements) -> None:
-    panel = outfit(woman, design_from_dict(STRAPLESS | {"collar": {"bc_depth": 0.0}})).panel("right_btorso")
+    panel = draw_garment(woman, design_from_dict(STRAPLESS | {"collar": {"bc_depth": 0.0}})).panel("right_btorso")
     level = woman.waist_line - tan(woman.shoulder_incl) * 0.5 * (woman.back_width - woman.shoulder_w)
     hollow = 0.25 * tan(woman.shoulder_incl) * 0.5 * woman.back_width
     assert sum(edge_lengths(panel, "centre")) == pytest.approx(level - hollow)
 
 
 def test_only_fitted_shirts_are_strapless(woman: Measurements) -> None:
-    plain, asked = (outfit(woman, design_from_dict({"meta": SHIRT, "shirt": {"strapless": s}})) for s in (False, True))
+    plain, asked = (
+        draw_garment(woman, design_from_dict({"meta": SHIRT, "shirt": {"strapless": s}})) for s in (False, True)
+    )
     assert plain == asked
 
 
 def test_halves_of_one_design_are_mirror_images(wearer: Measurements) -> None:
     for meta in (SHIRT, FITTED):
-        pattern = outfit(wearer, design_from_dict({"meta": meta, "sleeve": {"sleeveless": False}}))
+        pattern = draw_garment(wearer, design_from_dict({"meta": meta, "sleeve": {"sleeveless": False}}))
         for name in (panel.name for panel in pattern.panels if panel.name.startswith("right")):
             right, left = (pattern.panel(n) for n in (name, name.replace("right", "left")))
             # Both run counter-clockwise as seen from outside, so the image's loop runs the other way.
@@ -258,7 +260,7 @@ def test_a_top_may_be_strapless_on_one_side(woman: Measurements, side: str) -> N
     bare: dict[str, Any] = {"strapless": True}
     left = {"enable_asym": True, "shirt": bare if side == "left" else {}}
     values = {"meta": FITTED, "shirt": bare if side == "right" else {}, "collar": {"bc_depth": 0.5}, "left": left}
-    pattern = outfit(woman, design_from_dict(values))
+    pattern = draw_garment(woman, design_from_dict(values))
     other = "left" if side == "right" else "right"
     assert labels(pattern, f"{side}_ftorso") == {"strapless_top"}
     assert labels(pattern, f"{other}_ftorso") == {f"{other}_armhole", f"{other}_collar"}
@@ -271,7 +273,9 @@ def test_a_top_may_be_strapless_on_one_side(woman: Measurements, side: str) -> N
 def test_an_uneven_shirt_is_drawn_from_both_designs(woman: Measurements) -> None:
     values = {"width": 1.2, "flare": 1.0}
     left = {"enable_asym": True, "shirt": values, "collar": {"f_collar": "VNeckHalf", "width": 0.2}}
-    pattern = outfit(woman, design_from_dict({"meta": SHIRT, "shirt": {"width": 1.0, "flare": 1.0}, "left": left}))
+    pattern = draw_garment(
+        woman, design_from_dict({"meta": SHIRT, "shirt": {"width": 1.0, "flare": 1.0}, "left": left})
+    )
     assert lengths(pattern, ("right_ftorso", "right_btorso"), "bottom") == pytest.approx(0.5 * woman.bust)
     assert lengths(pattern, ("left_ftorso", "left_btorso"), "bottom") == pytest.approx(0.6 * woman.bust)
     kinds = {
@@ -283,12 +287,12 @@ def test_an_uneven_shirt_is_drawn_from_both_designs(woman: Measurements) -> None
 
 def test_an_uneven_top_wears_no_collar(woman: Measurements) -> None:
     values = {"meta": SHIRT, "collar": {"component": {"style": "Turtle"}}, "left": {"enable_asym": True}}
-    assert not any("collar" in panel.name for panel in outfit(woman, design_from_dict(values)).panels)
+    assert not any("collar" in panel.name for panel in draw_garment(woman, design_from_dict(values)).panels)
 
 
 @pytest.mark.parametrize("upper_kind", ["Shirt", "FittedShirt"])
 def test_the_hem_goes_round_the_wearer(woman: Measurements, upper_kind: str) -> None:
-    pattern = outfit(woman, design_from_dict({"meta": {"upper": upper_kind, "wb": "StraightWB"}}))
+    pattern = draw_garment(woman, design_from_dict({"meta": {"upper": upper_kind, "wb": "StraightWB"}}))
     sewn = {
         (seam.left.panel, seam.right.panel) for seam in pattern.seams if seam.right.panel.startswith("wb_")
     }  # fmt: skip

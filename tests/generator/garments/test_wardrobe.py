@@ -14,7 +14,7 @@ from gcd_dataset.generator.garments import (
     Reject,
     design_from_dict,
     design_to_dict,
-    outfit,
+    draw_garment,
     sample_design,
     sample_kind,
     try_on,
@@ -111,7 +111,7 @@ def test_a_cape_falls_from_nape_to_hem_and_widens_with_its_part_of_a_circle(woma
     hems = []
     for circle in (0.5, 0.75, 1.0):
         design = {"meta": {"upper": "Cape"}, "cape": {"circle": circle, "length": 1.5}}
-        pattern = outfit(woman, design_from_dict(design))
+        pattern = draw_garment(woman, design_from_dict(design))
         x, y, _ = pattern.panel("cape_back").placement.apply(pattern.panel("cape_back").vertices).T
         assert np.ptp(y[np.abs(x) < 1e-6]) == pytest.approx(1.5 * woman.waist_line)
         hems.append(length(pattern, "cape_back", "hem", "left_hem"))
@@ -121,7 +121,7 @@ def test_a_cape_falls_from_nape_to_hem_and_widens_with_its_part_of_a_circle(woma
 
 def test_a_cape_opens_below_its_clasp(woman: Measurements) -> None:
     designs = ({"meta": {"upper": "Cape"}, "cape": {"closed": closed}} for closed in (0.25, 1.0))
-    clasped, closed = (outfit(woman, design_from_dict(design)) for design in designs)
+    clasped, closed = (draw_garment(woman, design_from_dict(design)) for design in designs)
     sewn, free = (length(clasped, "right_cape_front", name) for name in ("closing", "opening"))
     assert sewn == pytest.approx((sewn + free) / 4)
     assert length(closed, "right_cape_front", "closing") == pytest.approx(sewn + free)
@@ -130,7 +130,7 @@ def test_a_cape_opens_below_its_clasp(woman: Measurements) -> None:
 
 @pytest.mark.parametrize("upper", OWN)
 def test_the_neckline_of_capes_and_ponchos_goes_round_the_back_of_the_neck(woman: Measurements, upper: Upper) -> None:
-    pattern = outfit(woman, design_from_dict({"meta": {"upper": upper.value}}))
+    pattern = draw_garment(woman, design_from_dict({"meta": {"upper": upper.value}}))
     necks = {panel.name: length(pattern, panel.name, "neck") for panel in pattern.panels}
     behind = necks.pop(f"{upper.garment.section}_back")
     assert 0.8 * woman.neck_w < behind < sum(necks.values()) < 2.5 * woman.neck_w
@@ -140,5 +140,5 @@ def test_the_neckline_of_capes_and_ponchos_goes_round_the_back_of_the_neck(woman
 def test_only_the_mends_of_its_garments_change_an_outfit(woman: Measurements, name: str) -> None:
     design = design_from_dict(OUTFITS[name])
     others = ALL_MENDS - design.mends()
-    assert outfit(woman, design, mends=ALL_MENDS - others) == outfit(woman, design)
+    assert draw_garment(woman, design, mends=ALL_MENDS - others) == draw_garment(woman, design)
     assert design.mends() >= {Mend.EXPORT_PIVOT}

@@ -1,4 +1,4 @@
-"""Outfits: an upper, a waistband and a bottom, or some of them, sewn together from the top down."""
+"""Garments: an upper, a waistband and a bottom, or some of them, sewn together from the top down."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -9,10 +9,10 @@ from gcd_dataset.errors import BodyError, PatternError
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.waistband import band_rise, waistband
-from gcd_dataset.generator.pattern import Component, Piece, assemble
+from gcd_dataset.generator.pattern import Component, assemble
 from gcd_dataset.records import EdgeRole, Measurements, PanelRole, Pattern
 
-GAP = 5.0  # cm between the parts of an outfit before sewing, GarmentCode
+GAP = 5.0  # cm between the parts of a garment before sewing, GarmentCode
 MEASURES_USED = (
     "height", "head_l", "neck_w", "shoulder_w", "shoulder_incl", "armscye_depth", "arm_length", "arm_pose_angle",
     "wrist", "bust", "back_width", "bust_line", "waist", "waist_back_width", "waist_line", "hips", "hip_back_width",
@@ -21,25 +21,32 @@ MEASURES_USED = (
 BACKS = (("back_width", "bust"), ("waist_back_width", "waist"), ("hip_back_width", "hips"))
 
 
-def outfit(
-    size: Measurements, design: GarmentDesign, *, name: str = "outfit", mends: frozenset[Mend] = ALL_MENDS
+def draw_garment(
+    size: Measurements, design: GarmentDesign, *, name: str = "garment", mends: frozenset[Mend] = ALL_MENDS
 ) -> Pattern:
     """The pattern of a design for a wearer, placed round the body.
 
-    Raises ``BodyError`` for missing or impossible measures, and ``PatternError`` for an outfit without upper and
+    Raises ``BodyError`` for missing or impossible measures, and ``PatternError`` for a garment without upper and
     bottom, or with a part that cannot be drawn for this wearer.
     """
     return assemble(pieces(size, design, mends=mends), name)
 
 
 def pieces(size: Measurements, design: GarmentDesign, *, mends: frozenset[Mend] = ALL_MENDS) -> Component:
-    """The component of an outfit, as ``outfit`` assembles it. Raises as ``outfit`` does."""
-    placed = _placed(parts(_checked(size), design, mends))
+    """The component of a garment, as ``draw_garment`` assembles it. Raises as ``draw_garment`` does."""
+    drawn = parts(_checked(size), design, mends)
+    placed = list(drawn[:1])
+    for below in drawn[1:]:
+        placed.append(below.placed_by("top", placed[-1], "bottom", gap=GAP))
     whole = Component.of(*placed)
     for above, below in pairwise(placed):
         whole = whole.sewn(above.interface("bottom"), below.interface("top"), gathered=True)
     if Mend.EXPORT_PIVOT not in mends:
-        whole = replace(whole, pieces=tuple(_with_export_pivot(piece) for piece in whole.pieces))
+        # GarmentCode moves each piece in its plane by the fractional part of its first corner's coordinates.
+        corners = ([fmod(coordinate, 1.0) for coordinate in piece.outline.origin] for piece in whole.pieces)
+        shifts = (piece.placement.matrix[:, :2] @ at for piece, at in zip(whole.pieces, corners, strict=True))
+        moved = (piece.moved(tuple(by.tolist())) for piece, by in zip(whole.pieces, shifts, strict=True))
+        whole = replace(whole, pieces=tuple(moved))
     tops = [part.interface("top") for part in placed if "top" in part.interfaces]
     return whole.with_edge_label(tops[0], EdgeRole.LOWER_INTERFACE) if tops else whole
 
@@ -54,7 +61,7 @@ def bottom_rise(design: GarmentDesign, mends: frozenset[Mend] = ALL_MENDS) -> fl
     return band_rise(design.waistband, rise) if design.meta.wb and Mend.WORN_LENGTH in mends else rise
 
 
-@lru_cache(maxsize=8)  # sampling draws it for the sewability check, then the outfit draws it again
+@lru_cache(maxsize=8)  # sampling draws it for the sewability check, then the garment draws it again
 def upper(size: Measurements, design: GarmentDesign, mends: frozenset[Mend]) -> Component:
     """The upper of a design with an upper; offers the ring ``bottom`` if it can carry a part."""
     assert design.meta.upper is not None
@@ -69,12 +76,12 @@ def bottom(size: Measurements, design: GarmentDesign, mends: frozenset[Mend]) ->
     return drawn.labelled(PanelRole.LEG)
 
 
-@lru_cache(maxsize=8)  # sampling draws them to find tight rings, then the outfit and its rules draw them again
+@lru_cache(maxsize=8)  # sampling draws them to find tight rings, then the garment and its rules draw them again
 def parts(size: Measurements, design: GarmentDesign, mends: frozenset[Mend] = ALL_MENDS) -> tuple[Component, ...]:
-    """The parts of the outfit, from the top down, not yet placed. Raises ``PatternError`` as ``outfit`` does."""
+    """The parts of the garment, from the top down, not yet placed. Raises ``PatternError`` as ``draw_garment`` does."""
     meta, rise, found = design.meta, bottom_rise(design), []
     if meta.upper is None and meta.bottom is None:
-        raise PatternError("an outfit without upper and bottom: choose meta.upper or meta.bottom")
+        raise PatternError("a garment without upper and bottom: choose meta.upper or meta.bottom")
     if meta.upper is not None:
         found.append(upper(size, design, mends))
         if not meta.upper.garment.carries and (meta.wb or meta.bottom):
@@ -86,20 +93,6 @@ def parts(size: Measurements, design: GarmentDesign, mends: frozenset[Mend] = AL
     if meta.bottom is not None:
         found.append(bottom(size, design, mends))
     return tuple(found)
-
-
-def _placed(parts: tuple[Component, ...]) -> tuple[Component, ...]:
-    """The parts, each moved under the previous part."""
-    placed = parts[:1]
-    for below in parts[1:]:
-        placed = (*placed, below.placed_by("top", placed[-1], "bottom", gap=GAP))
-    return placed
-
-
-def _with_export_pivot(piece: Piece) -> Piece:
-    """The piece moved in its plane by the fractional part of its first corner's coordinates, as in GarmentCode."""
-    x, y, z = piece.placement.matrix[:, :2] @ [fmod(coordinate, 1.0) for coordinate in piece.outline.origin]
-    return piece.moved((float(x), float(y), float(z)))
 
 
 def _checked(size: Measurements) -> Measurements:
