@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.body.by_name import make_person, model_mesh, people_recipe
+from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of, versions
 from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
