@@ -8,7 +8,6 @@ import sys
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Literal, Self
 from unittest.mock import Mock
 
@@ -19,7 +18,7 @@ from PIL import Image
 from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest, SharedDraper, address_for
+from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
 from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.garments import Reject, attempted_design, design_from_dict, garment_tags
 from gcd_dataset.generator.garments.overlay import Overlay
@@ -32,16 +31,16 @@ from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.codec import encode_sample
 
 FLAT = MakeConfig(stage="pattern")
-MESHED = MakeConfig(stage="mesh", resolution=4.0, points=64)
-DRAPED = MakeConfig(resolution=4.0, points=64, picture=48, device="cpu")
+MESHED = MakeConfig(stage="mesh", resolution=8.0, points=64)
+DRAPED = MakeConfig(resolution=8.0, points=64, picture=48, device="cpu")
 
 
 def test_a_sample_is_the_same_alone_and_in_any_order() -> None:
-    in_order = list(produce(5, range(4), MESHED))
-    backwards = list(produce(5, [3, 2, 1, 0], MESHED))
+    in_order = list(produce(5, range(3), MESHED))
+    backwards = list(produce(5, [2, 1, 0], MESHED))
     assert in_order == backwards[::-1]
     assert make(5, 2, MESHED) == in_order[2]
-    assert [sample.provenance.index for sample in in_order] == [0, 1, 2, 3]
+    assert [sample.provenance.index for sample in in_order] == [0, 1, 2]
 
 
 def test_seeds_and_indices_make_different_garments() -> None:
@@ -128,13 +127,6 @@ def test_turned_arms_do_not_change_the_pattern() -> None:
         replace(FLAT, arms=50)
 
 
-@pytest.mark.parametrize("sex", ["female", "male"])
-def test_women_and_men_of_the_population_wear_designs(sex: Literal["female", "male"]) -> None:
-    sample = make(9, 2, replace(FLAT, bodies=sex))
-    assert sample.provenance.body_name == f"{sex}:9:2"
-    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group=sex)))
-
-
 def test_random_wearers_are_women_and_men_named_by_their_sex() -> None:
     samples = [make(9, index, replace(FLAT, bodies="random")) for index in range(6)]
     kinds = {sample.provenance.body_name.partition(":")[0] for sample in samples}
@@ -144,10 +136,11 @@ def test_random_wearers_are_women_and_men_named_by_their_sex() -> None:
     assert woman.measurements == make(9, index, women).measurements
 
 
-def test_the_pool_is_between_the_sexes_and_has_a_name_of_its_own() -> None:
-    sample = make(9, 2, replace(FLAT, bodies="pooled"))
-    assert sample.provenance.body_name == "pooled:9:2"
-    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group="pooled")))
+@pytest.mark.parametrize("group", ["female", "male", "pooled"])
+def test_adults_of_a_group_wear_designs_under_its_name(group: Literal["female", "male", "pooled"]) -> None:
+    sample = make(9, 2, replace(FLAT, bodies=group))
+    assert sample.provenance.body_name == f"{group}:9:2"
+    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group=group)))
 
 
 def test_a_draped_sample_is_complete() -> None:
@@ -292,11 +285,6 @@ def test_the_error_of_an_index_without_a_pattern_names_it(monkeypatch: pytest.Mo
         make(5, 7, replace(FLAT, max_attempts=3))
 
 
-def test_an_index_may_be_requested_twice() -> None:
-    first, second, third = produce(5, [1, 0, 1], FLAT)
-    assert first == third != second
-
-
 @pytest.mark.parametrize(
     ("option", "value", "expected"),
     [
@@ -329,15 +317,6 @@ def test_a_recipe_is_the_same_with_2_and_2_0() -> None:
 def test_a_fabric_other_than_the_default_is_part_of_the_recipe() -> None:
     assert "fabric" not in recipe_of(DRAPED)  # recipes from before the option keep their hash
     assert recipe_of(replace(DRAPED, fabric="denim"))["fabric"] == "denim"
-
-
-def test_another_fabric_drapes_differently() -> None:
-    skirts = replace(DRAPED, design=only(upper="none", bottom="SkirtCircle"), resolution=5.0, picture=0)
-    usual, limp = (make(5, 0, replace(skirts, fabric=name)) for name in ("default", "gcd_soft"))
-    assert usual.pattern == limp.pattern
-    assert usual.drape is not None
-    assert limp.drape is not None
-    assert not np.array_equal(usual.drape.vertices, limp.drape.vertices)
 
 
 def only(**meta: str) -> Overlay:
@@ -375,50 +354,26 @@ def test_one_design_fits_many_bodies() -> None:
 
 BOTH = MakeConfig(stage="pattern", bodies="both")
 COARSE = MakeConfig(stage="mesh", resolution=8.0, points=16, bodies="both")
-PICTURED = MakeConfig(resolution=10.0, points=16, picture=16, device="cpu", on_fail="keep")
-
-
-def test_workers_and_a_single_process_make_the_same_samples() -> None:
-    alone = list(produce(5, range(7), COARSE))
-    assert list(produce(5, range(7), COARSE, workers=3)) == alone
-
-
-def test_workers_return_the_results_of_finished() -> None:
-    alone = [encode_sample(sample) for sample in produce(5, [4, 0, 1], BOTH)]
-    assert list(produce(5, [4, 0, 1], BOTH, workers=2, finished=encode_sample)) == alone
-
-
-def test_a_draping_process_gives_the_same_samples() -> None:
-    here = list(produce(5, range(2), PICTURED))
-    with SharedDraper(address_for("cpu")) as draper:
-        assert list(produce(5, range(2), PICTURED, draper=draper)) == here
 
 
 SCRIPT = """
 from gcd_dataset.generator import MakeConfig, produce
 config = MakeConfig(stage="pattern")
-if __name__ == "__main__" or not {guarded}:
+if __name__ == "__main__":
     print([sample.key for sample in produce(5, range(2), config, workers=2)])
 """
 
 
-def run(*arguments: str, given: str = "") -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, *arguments]
-    return subprocess.run(command, input=given, capture_output=True, text=True, check=False, timeout=120)
-
-
 def test_workers_serve_a_script_from_standard_input() -> None:
     """Which has no file that a spawned worker could import."""
-    finished = run("-", given=SCRIPT.format(guarded=True))
+    finished = subprocess.run([sys.executable, "-"], input=SCRIPT, capture_output=True, text=True, check=False)
     assert finished.stdout.strip() == str([sample_key(0), sample_key(1)]), finished.stderr
 
 
-def test_the_error_of_a_script_without_main_guard_names_the_remedy(tmp_path: Path) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(SCRIPT.format(guarded=False))
-    finished = run(str(script))
-    assert finished.returncode == 1
-    assert "must start them under if __name__" in finished.stderr
+def test_workers_and_a_single_process_make_the_same_samples() -> None:
+    """Also where the workers return results of ``finished``, in the order of the indices."""
+    alone = [encode_sample(sample) for sample in produce(5, [4, 0, 1, 5], COARSE)]
+    assert list(produce(5, [4, 0, 1, 5], COARSE, workers=2, finished=encode_sample)) == alone
 
 
 def test_indices_may_be_infinite() -> None:

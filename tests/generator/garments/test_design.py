@@ -58,7 +58,7 @@ class ApronDesign(Design):
     width: float = real(40.0, 20.0, 80.0)
 
 
-def many(count: int = 4000) -> list[HemDesign]:
+def many(count: int = 2000) -> list[HemDesign]:
     rng = np.random.default_rng(3)
     return [draw(HemDesign, rng) for _ in range(count)]
 

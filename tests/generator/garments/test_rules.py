@@ -286,7 +286,7 @@ def deep_back(depth: float) -> dict[str, Any]:
 
 PANELLED = {"upper": "Shirt", "bottom": "SkirtManyPanels"}
 BANDED = {"upper": None, "wb": "StraightWB", "bottom": "SkirtCircle"}
-SAMPLED = 60
+SAMPLED = 40
 
 
 def designed(meta: dict[str, Any], **sections: dict[str, Any]) -> GarmentDesign:
@@ -417,10 +417,10 @@ def test_sampled_parts_under_a_shirt_are_not_too_tight_for_the_hips() -> None:
                 continue
             assert all(ring.stretch <= CLOTH_GIVES for ring in found if ring.name in ("a waist seam", "a hem"))
             joined += 1
-    assert joined > 10
+    assert joined > 5
 
 
-TIGHT_SAMPLED = 60
+TIGHT_SAMPLED = 40
 GODETS = {"insert_w": 11, "insert_depth": 19, "num_inserts": 4, "cuts_distance": 5}
 TIGHT: dict[str, dict[str, Any]] = {
     "a hem with godets": {

@@ -32,7 +32,7 @@ from gcd_dataset.generator.garments.wardrobe import Upper
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.seeding import Stage, rng
 
-COUNT = 120
+COUNT = 60
 
 
 @cache
@@ -55,13 +55,13 @@ def test_hardly_any_design_is_rejected() -> None:
 
 
 def test_kinds_are_equally_likely() -> None:
-    kinds = Counter(sample_kind(rng(0, number, Stage.KIND)) for number in range(900))
-    assert [kinds[kind] / 900 for kind in Kind] == pytest.approx([1 / 3] * 3, abs=0.05)
+    kinds = Counter(sample_kind(rng(0, number, Stage.KIND)) for number in range(450))
+    assert [kinds[kind] / 450 for kind in Kind] == pytest.approx([1 / 3] * 3, abs=0.07)
 
 
 @pytest.mark.parametrize("kind", Kind)
 def test_a_kind_has_its_parts(kind: Kind) -> None:
-    for seed in range(20):
+    for seed in range(6):
         meta = sample_design(np.random.default_rng(seed), kind=kind).meta
         assert (meta.upper is not None, meta.bottom is not None) == {
             Kind.UPPER: (True, False),
@@ -77,7 +77,7 @@ def test_every_part_is_drawn() -> None:
 
 def test_halves_differ_in_a_fifth_of_uppers() -> None:
     uppers = [design for design in designs() if design.meta.upper]
-    assert np.mean([design.left.enable_asym for design in uppers]) == pytest.approx(0.2, abs=0.1)
+    assert np.mean([design.left.enable_asym for design in uppers]) == pytest.approx(0.2, abs=0.15)
 
 
 def test_unused_sections_keep_their_defaults() -> None:
@@ -104,8 +104,8 @@ def test_a_shirt_with_a_band_or_a_bottom_ends_near_the_waist() -> None:
 def test_free_parameters_follow_their_rule() -> None:
     """``sleeve_angle`` is uniform; ``smoothing_coeff`` keeps its default with probability 0.8."""
     sleeves = [design.sleeve for design in designs() if design.meta.upper]
-    assert np.mean([sleeve.sleeve_angle for sleeve in sleeves]) == pytest.approx(30, abs=3.5)
-    assert np.mean([sleeve.smoothing_coeff == 0.25 for sleeve in sleeves]) == pytest.approx(0.8, abs=0.1)
+    assert np.mean([sleeve.sleeve_angle for sleeve in sleeves]) == pytest.approx(30, abs=5)
+    assert np.mean([sleeve.smoothing_coeff == 0.25 for sleeve in sleeves]) == pytest.approx(0.8, abs=0.15)
 
 
 def test_designs_stay_within_an_overlay() -> None:
@@ -119,7 +119,7 @@ def test_designs_stay_within_an_overlay() -> None:
     )
     kinds = {sample_kind(rng(0, number, Stage.KIND), hoodies) for number in range(20)}
     assert kinds == {Kind.UPPER}
-    for seed in range(10):
+    for seed in range(5):
         design = sample_design(np.random.default_rng(seed), overlay=hoodies)
         values = to_dict(design)
         assert values["collar"]["component"]["style"] == "Hood2Panels"
@@ -161,7 +161,7 @@ def test_a_skirt_alone_needs_hips_wider_than_the_waist(hips: float, with_band: b
     size = measure(build_body(neutral_shape()))
     straight = replace(size, waist=size.hips - hips)
     held = 0
-    for number in range(40):
+    for number in range(20):
         drawn = attempted_design(5, number, 0, (straight,))
         meta, before = drawn.design.meta, attempted_design(5, number, 0, (size,)).design.meta
         if meta.upper or before.bottom is None:
@@ -170,7 +170,7 @@ def test_a_skirt_alone_needs_hips_wider_than_the_waist(hips: float, with_band: b
         assert meta.bottom is not None
         assert meta.bottom.garment.legs or (with_band and meta.wb)
         held += drawn.by_rule()["nothing_holds"]
-    assert held > 5
+    assert held > 2
 
 
 SHORT, NARROW = Remedy(("sleeve.length",)), Remedy(("shirt.width",))
@@ -253,7 +253,7 @@ def test_the_next_attempts_keep_the_choices_of_the_draft() -> None:
 
 
 def test_a_hopeless_choice_is_given_up_after_five_attempts() -> None:
-    drafts = [(drafted_design(3, number, 4).meta, drafted_design(3, number, 5).meta) for number in range(30)]
+    drafts = [(drafted_design(3, number, 4).meta, drafted_design(3, number, 5).meta) for number in range(12)]
     assert any(before != after for before, after in drafts)
     for before, after in drafts:  # the kind stays
         assert (before.upper is None, before.bottom is None) == (after.upper is None, after.bottom is None)
@@ -295,9 +295,9 @@ def test_an_attempt_has_other_numbers_and_the_same_bottom(woman: Measurements) -
 def test_first_attempts_have_the_declared_shares_and_nearly_all_can_be_worn(woman: Measurements) -> None:
     """No rule redraws ``sleeveless``, ``enable_asym``, upper or bottom: each design has those of its draft."""
     worn = 0
-    for number in range(60):
+    for number in range(30):
         draft, design = drafted_design(5, number, 0), attempted_design(5, number, 0, [woman]).design
         assert (draft.sleeve.sleeveless, draft.left.enable_asym) == (design.sleeve.sleeveless, design.left.enable_asym)
         assert (draft.meta.upper, draft.meta.bottom) == (design.meta.upper, design.meta.bottom)
         worn += isinstance(try_on(woman, design), Pattern)
-    assert worn >= 59
+    assert worn >= 29
