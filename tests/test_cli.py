@@ -106,14 +106,6 @@ def test_captions_are_written_on_request_and_printed(tmp_path: Path, capsys: pyt
     assert "made with captions=True, asked for captions=None" in capsys.readouterr().err
 
 
-def test_another_recipe_in_the_same_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["generate", str(tmp_path), "--count", "1", *FLAT]) == 0
-    capsys.readouterr()
-    assert main(["generate", str(tmp_path), "--count", "2", "--bodies", "neutral", *FLAT]) == 2
-    assert "bodies='random'" in one_line(capsys.readouterr().err)
-    assert len(GarmentDataset(tmp_path)) == 1
-
-
 def test_a_signal_keeps_finished_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """``timeout`` sends SIGTERM to the process and to its group."""
     command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path), "--count", "100000", *FLAT]
@@ -158,17 +150,6 @@ def test_a_signal_leaves_no_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
 
 
-def test_ctrl_c_while_options_are_parsed_is_reported(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def pressed(arguments: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("gcd_dataset.cli._parse", pressed)
-    assert main(["generate", "data", "--count", "1"]) == 130
-    assert "stopped" in one_line(capsys.readouterr().err)
-
-
 def test_a_full_disk_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -185,18 +166,6 @@ def test_a_full_disk_is_one_line(
     assert main(["generate", str(tmp_path), "--count", "3", *FLAT]) == 0
     assert "3 garments, 1 of them made now" in capsys.readouterr().out
     assert len(GarmentDataset(tmp_path)) == 3
-
-
-def test_options_may_come_from_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config = tmp_path / "set.toml"
-    config.write_text('bodies = "neutral"\nstage = "mesh"\nresolution = 5.0\npoints = 16\n')
-    out = tmp_path / "data"
-    assert main(["generate", str(out), "--count", "1", "--config", str(config), "--quiet"]) == 0
-    assert GarmentDataset(out)[0]["points"].shape == (16, 6)
-    config.write_text("bodes = 1\n")
-    capsys.readouterr()
-    assert main(["generate", str(out), "--count", "1", "--config", str(config)]) == 2
-    assert "no option is called bodes" in one_line(capsys.readouterr().err)
 
 
 def test_validate_prints_every_fault(spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -465,19 +434,7 @@ def test_a_file_that_cannot_be_draped_costs_no_other(draped: Draped, tmp_path: P
     assert [row["outcome"] for row in json.loads((tmp_path / "report.json").read_text())["garments"]] == ["REFUSED"]
 
 
-def test_an_unusable_body_is_reported_before_any_drape(
-    spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = ["--out", str(tmp_path / "out")]
-    body = tmp_path / "body.obj"
-    body.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    assert main(["drape", str(spec), *out, "--body", str(body)]) == 1
-    assert "body.obj" in one_line(capsys.readouterr().err)
-    assert main(["drape", str(spec), *out, "--height", "170"]) == 1
-    assert "neutral: a named body has known parts and height" in one_line(capsys.readouterr().err)
-
-
-def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path) -> None:
     assert main(["generate", str(tmp_path / "data"), "--count", "1", *FLAT]) == 0
     for what in (spec, tmp_path / "data"):
         picture = tmp_path / "picture.png"
@@ -486,27 +443,26 @@ def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: p
         page = tmp_path / "page.html"
         assert main(["show", str(what), "--html", str(page)]) == 0
         assert page.read_text("utf-8").count("data-panel=") >= 2
-    capsys.readouterr()
-    assert main(["show", str(tmp_path / "data"), "--index", "5", "--png", str(tmp_path / "x.png")]) == 1
-    assert "garment 5 of 1" in one_line(capsys.readouterr().err)
-    assert main(["show", str(spec), "--png", str(tmp_path / "picture.jpg")]) == 2
-    assert "end the name in .png" in one_line(capsys.readouterr().err)
 
 
-def test_a_config_narrows_designs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config = tmp_path / "trousers.toml"
+def test_options_and_a_narrower_design_may_come_from_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config, out = tmp_path / "trousers.toml", tmp_path / "out"
+    wrong = {
+        "bodes = 1\n": "no option is called bodes",
+        "[design.pants]\nlenght = 0.8\n": "design: no design parameter is called pants.lenght: did you mean",
+        "design = 3\n": "trousers.toml: design is 3: write tables such as [design.pants]",
+    }
+    for text, message in wrong.items():
+        config.write_text(text)
+        assert main(["generate", str(out), "--count", "2", "--config", str(config)]) == 2
+        assert message in one_line(capsys.readouterr().err)
     config.write_text(
-        'bodies = "neutral"\n[design.meta]\nupper = "none"\nbottom = "Pants"\n[design.pants]\nlength = 0.8\n'
+        'bodies = "neutral"\nstage = "mesh"\nresolution = 8.0\npoints = 16\n'
+        '[design.meta]\nupper = "none"\nbottom = "Pants"\n[design.pants]\nlength = 0.8\n'
     )
-    assert main(["generate", str(tmp_path / "out"), "--count", "2", "--config", str(config), *FLAT]) == 0
-    dataset = GarmentDataset(tmp_path / "out", fields=["design", "spec"])
+    assert main(["generate", str(out), "--count", "2", "--config", str(config), "--quiet"]) == 0
+    dataset = GarmentDataset(out, fields=["design", "spec", "points"])
     assert all(item["design"]["pants"]["length"] == 0.8 for item in dataset)
     assert all("pant_f_r" in item["spec"]["pattern"]["panels"] for item in dataset)
+    assert dataset[0]["points"].shape == (16, 6)
     assert dataset.recipe(0)["recipe"]["design"]["meta"]["bottom"] == {"options": ["Pants"]}
-    config.write_text("[design.pants]\nlenght = 0.8\n")
-    assert main(["generate", str(tmp_path / "out"), "--count", "2", "--config", str(config), *FLAT]) == 2
-    message = capsys.readouterr().err
-    assert "trousers.toml: design: no design parameter is called pants.lenght: did you mean pants.length?" in message
-    config.write_text("design = 3\n")
-    assert main(["generate", str(tmp_path / "out"), "--count", "2", "--config", str(config), *FLAT]) == 2
-    assert "trousers.toml: design is 3: write tables such as [design.pants]" in capsys.readouterr().err

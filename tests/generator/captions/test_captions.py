@@ -52,7 +52,7 @@ def drawn(size: Measurements, **values: object) -> Worn:
 
 
 def sampled(count: int, *overlays: Mapping[str, Any]) -> Iterator[Worn]:
-    """Accepted random designs, on a woman, a man and a stout woman in turn."""
+    """Accepted random designs, on a woman, a man and a stout WOMAN in turn."""
     random = np.random.default_rng(21)
     for overlay in overlays or ({},):
         narrowed = Overlay.from_dict(overlay)
@@ -69,8 +69,8 @@ def wardrobe() -> list[Worn]:
     """Sampled designs, with capes and ponchos, which only overlays choose."""
     alone = {"wb": "none", "bottom": "none"}
     rare = [{"meta": {"upper": name, **alone}} for name in ("Cape", "Poncho")]
-    levels = {"meta": {"upper": "none", "bottom": "SkirtLevels"}}
-    return [*sampled(120), *sampled(8, *rare), *sampled(25, levels)]
+    levels, pants = ({"meta": {"upper": "none", "bottom": name}} for name in ("SkirtLevels", "Pants"))
+    return [*sampled(120), *sampled(8, *rare), *sampled(20, levels, pants)]
 
 
 def edges(pattern: Pattern) -> set[str]:
@@ -338,17 +338,17 @@ SKIRT, SHIRT = {"upper": None, "bottom": "SkirtCircle"}, {"upper": "Shirt", "bot
 FLARED = {"circle skirt", "half-circle skirt", "a-line skirt"}
 
 
-def test_a_maxi_reaches_below_four_fifths_of_hips_to_floor(woman: Measurements, wardrobe: list[Worn]) -> None:
+def test_a_maxi_reaches_below_four_fifths_of_hips_to_floor(wardrobe: list[Worn]) -> None:
     """Measured on the pattern: the skirt from waist to hem is longer than waist to hips and 0.8 of the leg."""
     skirts = [worn for worn in wardrobe if worn.design.meta.bottom and not worn.design.meta.upper]
     maxis = [worn for worn in skirts if "maxi" in garment_tags(*worn)]
     assert maxis
     assert all(hem_depth(worn.size, worn.design) > 0.8 for worn in maxis)
     pencil = design_from_dict({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"length": 0.9, "flare": 1.0}})
-    pattern = outfit(woman, pencil)
+    pattern = outfit(WOMAN, pencil)
     front = pattern.panel("skirt_front")
-    assert "maxi" in garment_tags(woman, pencil, pattern)
-    assert np.ptp(front.vertices[:, 1]) > woman.hips_line + 0.8 * woman.leg_length
+    assert "maxi" in garment_tags(WOMAN, pencil, pattern)
+    assert np.ptp(front.vertices[:, 1]) > WOMAN.hips_line + 0.8 * WOMAN.leg_length
 
 
 FLAT_SIDES = {"f_collar": "TrapezoidNeckHalf", "fc_angle": 110, "fc_depth": 1.6, "width": -0.3}
@@ -446,13 +446,13 @@ def test_every_outfit_has_one_kind_and_words_of_the_vocabulary(wardrobe: list[Wo
 # ------------------------------------------------------------------------------------------------------- drawn pattern
 
 
-def test_five_tiers_of_the_least_length_hang_lower_than_declared(woman: Measurements) -> None:
+def test_five_tiers_of_the_least_length_hang_lower_than_declared() -> None:
     """The tiers declare 2 cm each and are drawn 5 cm long: the hem is at least 15 cm lower."""
     section = {"length": 0.3, "base_length_frac": 0.6, "num_levels": 5, "base": "SkirtCircle", "level": "Skirt2"}
-    worn = drawn(woman, meta={"bottom": "SkirtLevels"}, levels_skirt=section)
+    worn = drawn(WOMAN, meta={"bottom": "SkirtLevels"}, levels_skirt=section)
     tiers = [np.ptp(worn.pattern.panel(f"skirt_front_{number}").vertices[:, 1]) for number in range(5)]
     assert np.allclose(tiers, 5.0)
-    assert 0.3 + 15 / woman.leg_length < hem_depth(woman, worn.design)
+    assert 0.3 + 15 / WOMAN.leg_length < hem_depth(WOMAN, worn.design)
     assert "mini" not in garment_tags(*worn)
 
 
