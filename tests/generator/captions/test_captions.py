@@ -52,7 +52,7 @@ def drawn(size: Measurements, **values: object) -> Worn:
 
 
 def sampled(count: int, *overlays: Mapping[str, Any]) -> Iterator[Worn]:
-    """Accepted random designs, on a woman, a man and a stout WOMAN in turn."""
+    """Accepted random designs, on a woman, a man and a stout woman in turn."""
     random = np.random.default_rng(21)
     for overlay in overlays or ({},):
         narrowed = Overlay.from_dict(overlay)
