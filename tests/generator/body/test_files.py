@@ -15,7 +15,7 @@ import trimesh
 import yaml
 
 from gcd_dataset.bodyfiles import read_body_parts
-from gcd_dataset.errors import BodyError, ConfigError, OutputError
+from gcd_dataset.errors import BodyError, ConfigError
 from gcd_dataset.generator.body import (
     build_body,
     draw_shape,
@@ -126,25 +126,15 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
         ("parts", '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [8]}', "right_leg names vertex 8"),
         ("parts", '{"left_arm": 4, "right_arm": [5], "left_leg": [6], "right_leg": [7]}', "left_arm is not a list"),
         ("parts", '{"body": [0]}', "lists the parts body: add left_arm, right_arm, left_leg and right_leg"),
-        ("parts", "[1, 2]", "a list: give a map"),
-        ("parts", "{", "line 1, column 2: Expecting property name"),
         ("parts", PARTS.replace("[4]", "[]") % 7, "left_arm has no vertices: list the vertices of the limb"),
-        ("parts", PARTS % '7], "left_leg": [5', "key left_leg occurs twice in one object"),
         ("parts", PARTS % -1, "right_leg is not a list of vertex ids: give whole numbers, 0 or more"),
         ("parts", PARTS % 7.5, "right_leg is not a list of vertex ids"),
         ("parts", '{"%s": 1}' % ("a" * 10**5), "add left_arm, right_arm"),
         ("parts", PARTS % 10**30, "right_leg names vertex 10**15 or more"),
         ("parts", PARTS % "true", "right_leg is not a list of vertex ids"),
-        ("parts", 100_000 * "[", "64 levels deep"),
-        ("parts", "9" * 5000, "Exceeds the limit (4300 digits)"),
         ("size", 100_000 * "[" + 100_000 * "]", "nested too deeply"),
-        ("size", 10_000 * "[", "nested too deeply"),
-        ("size", "body: {height: " + 10_000 * "[", "nested too deeply"),
-        ("size", "9" * 5000, "not YAML"),
         ("size", "body: {height: 2026-13-45}", "not YAML"),
-        ("size", "body: {height: !!bool maybe}", "not YAML"),
         ("size", f"body: {{height: {10**400}}}", "body.height is 10**15 or more: give a positive number"),
-        ("size", f"body: {{height: 0x{5000 * 'f'}}}", "body.height is 10**15 or more"),
         ("size", "body: {height: 1.0e+300}", "body.height is 1e+300: give a positive number"),
         (
             "size",
@@ -155,7 +145,6 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
         ("size", "body:\n  waist: 70\n  waist: 90\n", "line 2, column 3: a repeated key"),
         ("size", "body: {waist: 070}", "the number 070, which is not in base 10"),
         ("size", "body: {height: 1:50}", "the number 1:50, which is not in base 10"),
-        ("size", "body: {height: 1:50.5}", "the number 1:50.5, which is not in base 10"),
         ("size", "a: &a {x: 1}\nbody:\n  <<: *a\n", "line 3, column 3: a merge key (<<): write the entries out"),
         ("size", LAUGHS, "nested too deeply"),
         ("size", MERGED_LAUGHS, "a merge key"),
@@ -240,12 +229,6 @@ def test_measures_in_another_unit_are_refused(unit: str, factor: float, tmp_path
         named_body("male", measurements=tmp_path / "size.yaml")
 
 
-def test_a_byte_order_mark_before_measures_is_skipped(tmp_path: Path) -> None:
-    write_measurements(SIZE, tmp_path / "size.yaml")
-    (tmp_path / "bom.yaml").write_bytes(codecs.BOM_UTF8 + (tmp_path / "size.yaml").read_bytes())
-    assert read_measurements(tmp_path / "bom.yaml") == SIZE
-
-
 def test_a_mesh_without_a_body_is_taken_as_it_stands(
     mannequin: dict[str, Path], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -270,14 +253,8 @@ def test_bodies_by_name() -> None:
     assert shape == neutral_shape()
     assert size == SIZE
     assert body.name == "neutral"
-    _, _, drawn = named_body("random:7")
-    assert drawn == draw_shape(rng(7, 0, Stage.BODY))
-
-
-def test_women_men_and_the_pool_by_seed() -> None:
-    for group in ("female", "male", "pooled"):
-        _, _, drawn = named_body(f"{group}:7")
-        assert drawn == draw_shape(rng(7, 0, Stage.BODY), group=group)
+    for group in ("random", "female", "male", "pooled"):
+        assert named_body(f"{group}:7")[2] == draw_shape(rng(7, 0, Stage.BODY), group=group)
 
 
 def test_a_named_body_with_legs_apart_is_measured_with_legs_straight() -> None:
@@ -286,13 +263,6 @@ def test_a_named_body_with_legs_apart_is_measured_with_legs_straight() -> None:
     assert shape.legs_apart
     assert size == SIZE
     assert not np.array_equal(body.vertices, build_body(neutral_shape()).vertices)
-
-
-def test_a_mesh_file_by_its_path(mannequin: dict[str, Path]) -> None:
-    body, size, shape = named_body(mannequin["mesh"], measurements=mannequin["size"], segmentation=mannequin["parts"])
-    assert shape is None
-    assert len(body.vertices) == 8
-    assert size.to_file_values() == pytest.approx(SIZE.to_file_values())
 
 
 @pytest.mark.parametrize(
@@ -318,11 +288,6 @@ def test_a_height_must_be_an_adults_and_is_for_a_mesh(mannequin: dict[str, Path]
         named_body(mannequin["mesh"], measurements=mannequin["size"], segmentation=mannequin["parts"], height=1.7)
     with pytest.raises(BodyError, match="neutral: a named body has known parts and height: leave"):
         named_body("neutral", height=170.0)
-
-
-def test_an_unwritable_file_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="cannot be written"):
-        write_measurements(SIZE, tmp_path / "no" / "such" / "folder.yaml")
 
 
 @cache
@@ -497,10 +462,3 @@ def test_malformed_files_give_one_line_errors(name: str, tmp_path: Path, caplog:
     assert message.isprintable()
     assert len(message.removeprefix(str(tmp_path))) < 250
     assert "Traceback" not in caplog.text
-
-
-def test_a_huge_file_is_not_read(tmp_path: Path) -> None:
-    with (tmp_path / "sparse.ply").open("wb") as file:
-        file.truncate(1 << 40)
-    with pytest.raises(BodyError, match="more than 512 MB"):
-        read_mesh(tmp_path / "sparse.ply")

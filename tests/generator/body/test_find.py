@@ -77,12 +77,8 @@ def require_the_published_measures(path: Path) -> None:
     assert set(result.at_border) == {"bust", "waist", "hips"}  # ends of the search range, as when published
 
 
-def test_found_and_known_landmarks_give_the_same_measures() -> None:
-    body = build_body(draw_shape(rng(2, 3, Stage.BODY)))
-    assert not too_far(measure(unknown(body)), measure(body))
-
-
-def test_found_parts_equal_the_models() -> None:
+def test_found_landmarks_and_parts_equal_the_models() -> None:
+    assert not too_far(fitted_woman().result.measurements, measure(build_body(female_shape())))
     skin = woman().parts != BodyPart.INTERNAL.value
     assert (fitted_woman().parts == woman().parts)[skin].mean() > 0.99
 
@@ -212,16 +208,12 @@ def test_the_error_about_a_face_names_its_invalid_vertex(odd: int) -> None:
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        ("{", "line 1, column 2"),
         ("[]", "a list: give a map"),
         ('{"elbow": 3}', "no landmark is called elbow"),
         ('{"nape_of_neck": 99999999}', "nape_of_neck is 99999999: give a vertex id under"),
         ('{"nape_of_neck": [1, 2]}', r"nape_of_neck is \[1, 2\]"),
-        ('{"nape_of_neck": [1, 2, NaN]}', "NaN is not a number"),
         ('{"nape_of_neck": true}', "nape_of_neck is true"),
         ('{"nape_of_neck": [1, 2, 1e300]}', r"nape_of_neck is \[1, 2, 1e\+300\], outside the mesh"),
-        ('{"nape_of_neck": [1, 2], "nape_of_neck": 3}', "occurs twice"),
-        ("[" * 100_000, "64 levels deep"),
         ('{"waist": 7}', "a ring is a list"),
         ('{"neck_back": [1, 2]}', "neck_back has 2 points"),
     ],
@@ -243,30 +235,6 @@ def test_gcd_measure_writes_a_measurement_file(tmp_path: Path, capsys: pytest.Ca
     assert f"\n  waist: {drawn.waist}\n" in capsys.readouterr().out
     assert main(["measure", "--shape", "female"]) == 0
     assert "\n# bust: measured at height" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("options", "code", "expected"),
-    [
-        ([], 2, "give a mesh file or --shape"),
-        (["a.obj", "--shape", "female"], 2, "one of them"),
-        (["--shape", "female", "--landmarks", "x.json"], 2, "are for a mesh file"),
-        (["--shape", "female", "--height", "170"], 2, "are for a mesh file"),
-        (["nowhere.obj"], 1, "nowhere.obj: no such file"),
-    ],
-)
-def test_wrong_usage_of_gcd_measure(
-    options: list[str], code: int, expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["measure", *options]) == code
-    assert expected in capsys.readouterr().err
-
-
-def test_an_unknown_body_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["measure", "--shape", "giant"])
-    assert caught.value.code == 2
-    assert "no body named giant" in capsys.readouterr().err
 
 
 def written(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:

@@ -284,16 +284,6 @@ def test_no_jobs_give_no_drapes() -> None:
     assert drape_batch([], device="cpu") == []
 
 
-def test_an_unknown_device_is_named() -> None:
-    with pytest.raises(ConfigError, match=r"unknown device 'cuda:7': choose one of auto, cpu"):
-        drape_batch([on_a_ball(4)], device="cuda:7")
-
-
-def test_a_fabric_without_weight_is_refused() -> None:
-    with pytest.raises(ConfigError, match="density"):
-        Fabric(density=0.0)
-
-
 @pytest.mark.parametrize("upper", ["Cape", "Poncho"])
 def test_an_overgarment_settles_without_crossings_and_covers_both_shoulders(upper: str) -> None:
     worn = wear(design_from_dict({"meta": {"upper": upper}}), spacing=5.0)

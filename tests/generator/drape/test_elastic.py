@@ -38,7 +38,7 @@ from gcd_dataset.generator.drape.model import ClothModel, build_model
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.pipeline import sample_fabric
-from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import BoxMesh
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.codec import decode_sample, encode_sample
@@ -317,11 +317,6 @@ def test_a_fabric_without_published_thickness_says_which_is_assumed() -> None:
         assert float(figure[1]) == FABRICS[name].thickness == DrapeConfig().layer_gap
 
 
-def test_an_unknown_fabric_is_an_error_that_lists_the_known() -> None:
-    with pytest.raises(ConfigError, match=r"'denin': choose one of default, gcd_soft, .*denim"):
-        fabric_named("denin")
-
-
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
@@ -389,9 +384,3 @@ def test_a_random_fabric_is_draped_recorded_and_stored() -> None:
 
 def as_fabric(parameters: Mapping[str, Any]) -> dict[str, Any]:
     return {name: tuple(value) if isinstance(value, list) else value for name, value in parameters.items()}
-
-
-def test_random_is_an_option_and_part_of_the_recipe() -> None:
-    assert recipe_of(SMALL)["fabric"] == "random"
-    with pytest.raises(ConfigError, match=r"wool_light, random$"):
-        MakeConfig(fabric="rnd")

@@ -15,7 +15,6 @@ from jaxtyping import Float
 from benchmarks.comparison import compare
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import BodyError, ConfigError, PatternError
-from gcd_dataset.exports.published import garment_type
 from gcd_dataset.faults import Rule, check_pattern, require_valid
 from gcd_dataset.generator.body import read_measurements
 from gcd_dataset.generator.garments import (
@@ -30,7 +29,6 @@ from gcd_dataset.generator.garments import (
     sample_kind,
     try_on,
 )
-from gcd_dataset.generator.garments.design import write_design
 from gcd_dataset.generator.garments.drawn import hem_depth
 from gcd_dataset.generator.garments.garment import Cutting
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
@@ -42,7 +40,7 @@ from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 from gcd_dataset.generator.pattern import assemble
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern, Seam
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
-from tests.generator.garments.conftest import OUTFITS
+from tests.generator.garments.conftest import OUTFITS, WOMAN
 from tests.generator.garments.measured import length, lengths, ref_length
 
 FRONT_OR_BACK = re.compile(r"_(front|back|f|b|ftorso|btorso)(?:_|$)")
@@ -239,38 +237,9 @@ def test_a_waistband_closes_around_the_waist(woman: Measurements, kind: str) -> 
     pattern = outfit(woman, design_from_dict({"meta": SKIRT | {"wb": kind}, "waistband": {"waist": 1.0}}))
     assert lengths(pattern, "top", ("wb_front", "wb_back")) == pytest.approx(woman.waist)
     assert lengths(pattern, "top", ("wb_back",)) == pytest.approx(woman.waist_back_width)
-
-
-def test_a_fitted_waistband_reaches_down_to_the_hips_girth(woman: Measurements) -> None:
-    design = design_from_dict({"meta": SKIRT | {"wb": "FittedWB"}, "waistband": {"width": 1.0}})
-    assert lengths(outfit(woman, design), "bottom", ("wb_front", "wb_back")) == pytest.approx(woman.hips)
-
-
-def test_a_dress_hangs_together_at_the_waist(woman: Measurements) -> None:
-    meta = {"upper": "Shirt", "wb": "StraightWB", "bottom": "SkirtCircle"}
-    pattern = outfit(woman, design_from_dict({"meta": meta}))
-    joined = {
-        frozenset((seam.left.panel.split("_")[-1], seam.right.panel.split("_")[0]))
-        for seam in pattern.seams
-        if seam.left.panel.split("_")[0] != seam.right.panel.split("_")[0]
-    }
-    assert frozenset(("ftorso", "wb")) in joined
-    assert frozenset(("back", "skirt")) in joined
-
-
-def test_missing_measures_are_named() -> None:
-    with pytest.raises(BodyError, match=r"measures height, .* are missing"):
-        outfit(Measurements(waist=80.0), design_from_dict({}))
-
-
-def test_a_back_as_wide_as_its_girth_is_refused(woman: Measurements) -> None:
-    with pytest.raises(BodyError, match=r"waist_back_width is 90\.0 cm, and waist is 80\.3 cm"):
-        outfit(replace(woman, waist_back_width=90.0), design_from_dict({}))
-
-
-def test_an_outfit_without_upper_and_bottom_is_refused(woman: Measurements) -> None:
-    with pytest.raises(PatternError, match="an outfit without upper and bottom"):
-        outfit(woman, design_from_dict({"meta": {"upper": None, "wb": "StraightWB"}}))
+    if kind == "FittedWB":  # down to the girth of the hips
+        design = design_from_dict({"meta": SKIRT | {"wb": kind}, "waistband": {"width": 1.0}})
+        assert lengths(outfit(woman, design), "bottom", ("wb_front", "wb_back")) == pytest.approx(woman.hips)
 
 
 OWN = [upper for upper in Upper if not upper.garment.weight]
@@ -286,11 +255,31 @@ def test_garments_have_distinct_names_and_sections_distinct_classes() -> None:
 # ------------------------------------------------------------------------------------------ garments beyond GarmentCode
 
 
-def test_capes_and_ponchos_are_the_garments_beyond_garmentcode() -> None:
-    assert [upper.value for upper in OWN] == ["Cape", "Poncho"]
+@pytest.mark.parametrize(
+    ("size", "meta", "message"),
+    [
+        (Measurements(waist=80.0), {}, r"measures height, .* are missing"),
+        (replace(WOMAN, waist_back_width=90.0), {}, r"waist_back_width is 90\.0 cm, and waist is 80\.3 cm"),
+        (WOMAN, {"upper": None, "wb": "StraightWB"}, "an outfit without upper and bottom"),
+        (WOMAN, {"upper": "Cape", "bottom": "Pants"}, "nothing can be sewn to the hem of a Cape: set meta.wb and meta"),
+    ],
+)
+def test_an_outfit_that_cannot_be_drawn_is_refused(size: Measurements, meta: dict[str, str], message: str) -> None:
+    with pytest.raises(BodyError | PatternError, match=message):
+        outfit(size, design_from_dict({"meta": meta}))
+
+
+def test_an_overlay_that_sews_a_bottom_to_a_cape_is_refused() -> None:
+    for meta, names in (
+        ({"upper": "Cape", "bottom": "Pants"}, "Cape, .* set meta.wb and meta.bottom to"),
+        ({"upper": {"options": ["Cape", "Poncho"]}, "wb": "FittedWB"}, "Cape, Poncho"),
+    ):
+        with pytest.raises(ConfigError, match=rf"nothing can be sewn to meta\.upper = {names}"):
+            Overlay.from_dict({"meta": meta})
 
 
 def test_capes_and_ponchos_are_not_sampled_and_other_designs_do_not_name_them() -> None:
+    assert [upper.value for upper in OWN] == ["Cape", "Poncho"]
     drawn = [sample_design(np.random.default_rng(seed)) for seed in range(12)]
     assert not {design.meta.upper for design in drawn} & {*OWN}
     assert not {"cape", "poncho"} & {key for design in drawn for key in design_to_dict(design)}
@@ -318,34 +307,6 @@ def test_capes_and_ponchos_are_sampled_without_band_and_bottom() -> None:
     assert {meta.upper for meta in kinds[Kind.UPPER]} == {Upper.SHIRT, Upper.CAPE}
     assert {meta.upper for meta in kinds[Kind.FULL]} == {Upper.SHIRT}
     assert all(meta.wb is None for meta in kinds[Kind.UPPER] if meta.upper is Upper.CAPE)
-
-
-def test_an_overlay_that_sews_a_bottom_to_a_cape_is_refused() -> None:
-    with pytest.raises(
-        ConfigError, match=r"nothing can be sewn to meta\.upper = Cape, .* set meta\.wb and meta\.bottom to"
-    ):
-        Overlay.from_dict({"meta": {"upper": "Cape", "bottom": "Pants"}})
-    with pytest.raises(ConfigError, match=r"nothing can be sewn to meta\.upper = Cape, Poncho"):
-        Overlay.from_dict({"meta": {"upper": {"options": ["Cape", "Poncho"]}, "wb": "FittedWB"}})
-
-
-def test_a_design_that_sews_a_bottom_to_a_cape_is_rejected(woman: Measurements) -> None:
-    found = try_on(woman, design_from_dict({"meta": {"upper": "Cape", "bottom": "Pants"}}))
-    assert (
-        str(found) == "cannot_be_drawn: nothing can be sewn to the hem of a Cape: set meta.wb and meta.bottom to null"
-    )
-
-
-@pytest.mark.parametrize("upper", OWN)
-def test_designs_of_capes_and_ponchos_survive_design_files(tmp_path: Path, upper: Upper) -> None:
-    design = design_from_dict({"meta": {"upper": upper.value}, upper.garment.section: {"length": 1.3}})
-    write_design(design, tmp_path / "design.yaml")
-    assert read_design(tmp_path / "design.yaml") == design
-
-
-def test_statistics_count_a_cape_as_an_upper() -> None:
-    long = design_from_dict({"meta": {"upper": "Cape"}, "cape": {"length": 2.0}})
-    assert garment_type(design_to_dict(long))["main"] == "upper_garment"
 
 
 def test_a_cape_falls_from_nape_to_hem_and_widens_with_its_part_of_a_circle(woman: Measurements) -> None:

@@ -99,12 +99,6 @@ def test_flipped_necklines_are_images_about_their_chord(kind: Neckline) -> None:
     assert points(flipped) == pytest.approx(mirrored_about_chord(points(plain), (9.0, -14.0)))
 
 
-def test_a_round_arc_bulges_away_from_the_neck() -> None:
-    (arc,) = shape(Neckline.ARC, 9.0, 14.0)
-    x, y = arc.at(0.5)
-    assert x * 14.0 + y * 9.0 < 0  # left of, and below, the straight line
-
-
 @SIZES
 def test_a_curvy_neckline_swings_to_both_sides_of_its_chord(half_width: float, depth: float) -> None:
     (curve,) = shape(Neckline.CURVY, half_width, depth)

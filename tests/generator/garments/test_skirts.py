@@ -147,26 +147,24 @@ def test_a_slit_in_the_side_leaves_the_seam_above_it(woman: Measurements, flare:
         assert ends(panel, "left_slit")[0][0] > middle  # the wearer's left is +x
 
 
-def test_ornaments_are_refused(woman: Measurements) -> None:
-    with pytest.raises(PatternError, match=r"pencil-skirt\.style_side_cut is Sun, but ornaments are not drawn: set it"):
-        skirt(woman, Bottom.PENCIL, {"pencil-skirt": {"style_side_cut": "Sun"}})
+@pytest.mark.parametrize(
+    ("measures", "design", "message"),
+    [
+        ({}, {"style_side_cut": "Sun"}, r"pencil-skirt\.style_side_cut is Sun, but ornaments are not drawn: set it"),
+        ({"bum_points": np.nan}, {}, "measures bum_points are missing"),
+        ({"bum_points": 60.0}, {}, "skirt_back: a dart of .* does not fit a top of .* cm: correct the measures"),
+    ],
+)
+def test_a_pencil_skirt_that_cannot_be_drawn_is_refused(
+    woman: Measurements, measures: dict[str, float], design: dict[str, str], message: str
+) -> None:
+    with pytest.raises(BodyError | PatternError, match=message):
+        skirt(replace(woman, **measures), Bottom.PENCIL, {"pencil-skirt": design})
 
 
 def test_a_pencil_skirt_above_the_hips_is_refused(woman: Measurements) -> None:
     with pytest.raises(PatternError, match=r"a pencil skirt ends 12\.6 cm above the hips"):
         pencil_skirt(woman, PencilSkirtDesign(), Cutting(1.0, 10.0, ALL_MENDS))
-
-
-def test_a_pencil_skirt_names_missing_measures(woman: Measurements) -> None:
-    with pytest.raises(BodyError, match="measures bum_points are missing"):
-        skirt(replace(woman, bum_points=float("nan")), Bottom.PENCIL, {})
-
-
-def test_darts_that_do_not_fit_are_refused(woman: Measurements) -> None:
-    with pytest.raises(
-        PatternError, match=r"skirt_back: a dart of .* does not fit a top of .* cm: correct the measures"
-    ):
-        skirt(replace(woman, bum_points=60.0), Bottom.PENCIL, {})
 
 
 # ------------------------------------------------------------------------------------------------------- circle, panels

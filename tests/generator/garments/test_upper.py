@@ -40,19 +40,6 @@ def test_a_shirt_is_as_wide_as_the_bust_and_as_long_as_asked(woman: Measurements
     assert lengths(pattern, "side", ("right_btorso",)) == pytest.approx(side)
 
 
-def test_a_neckline_is_as_wide_as_asked(woman: Measurements) -> None:
-    panel = outfit(woman, design_from_dict({"meta": SHIRT, "collar": {"width": 0.0}})).panel("right_ftorso")
-    (neck,) = (i for i, edge in enumerate(panel.edges) if edge.name == "neck")
-    start, end = panel.edge_ends(neck)
-    assert abs(start[0] - end[0]) == pytest.approx(0.5 * woman.neck_w)
-
-
-def test_a_neckline_wider_than_the_shirt_is_refused(woman: Measurements) -> None:
-    broad = replace(woman, neck_w=60.0)
-    with pytest.raises(PatternError, match=r"narrow collar\.width"):
-        outfit(broad, design_from_dict({"meta": SHIRT, "collar": {"width": 0.0}}))
-
-
 def test_shoulders_wider_than_the_shirt_are_refused(woman: Measurements) -> None:
     broad = replace(woman, shoulder_w=70.0)
     with pytest.raises(PatternError, match=r"has no room for armholes 34\.0 cm from the centre: raise shirt\.width"):
@@ -251,14 +238,9 @@ def test_a_sleeve_without_its_gathers_fits_its_armhole(wearer: Measurements, upp
     )
     armhole = sum(length(pattern.panel(f"right_{half}torso"), "armhole") for half in "fb")
     assert cap == pytest.approx(armhole, abs=CAP * max(1.0, wearer.height / 170))
-
-
-@pytest.mark.parametrize("arm", ARMS)
-def test_both_halves_of_a_sleeve_match_along_the_arm(woman: Measurements, arm: str) -> None:
-    pattern = sleeved(woman, **ARMS[arm])
     for edge in ("upper", "under"):
         front, back = (length(pattern.panel(f"right_sleeve_{half}"), edge) for half in "fb")
-        assert front == pytest.approx(back, abs=0.6)
+        assert front == pytest.approx(back, abs=0.6 * max(1.0, wearer.height / 170))
 
 
 def test_a_sleeve_that_hangs_is_longer_over_the_arm_than_under_it(woman: Measurements) -> None:
@@ -268,12 +250,6 @@ def test_a_sleeve_that_hangs_is_longer_over_the_arm_than_under_it(woman: Measure
         over, under = (length(pattern.panel("right_sleeve_f"), edge) for edge in ("upper", "under"))
         over_under.append(over - under)
     assert 0 < over_under[0] < over_under[1] < over_under[2]
-
-
-def test_a_longer_sleeve_ends_nearer_the_wrist(woman: Measurements) -> None:
-    short, long = (sleeved(woman, length=share, end_width=1.0) for share in (0.2, 0.8))
-    assert length(long.panel("right_sleeve_f"), "under") > 3 * length(short.panel("right_sleeve_f"), "under")
-    assert length(long.panel("right_sleeve_f"), "upper") < woman.arm_length
 
 
 def test_a_sleeve_of_full_length_ends_at_the_wrist(woman: Measurements) -> None:

@@ -12,7 +12,7 @@ from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.mesh.coarse import CoarseMesh, barycentric, coarsen, locate
 from gcd_dataset.generator.mesh.coarse_border import Borders, thin
 from gcd_dataset.records import BoxMesh, Pattern
-from tests.generator.mesh.shapes import areas, euler_characteristic, panel, rectangle, sewn, sides, star, tube
+from tests.generator.mesh.shapes import areas, euler_characteristic, panel, rectangle, sewn, sides, tube
 from tests.generator.mesh.test_box_mesh import DART, darted, patchwork
 
 PATTERNS = [darted(), patchwork(), tube(), sewn(panel("a", rectangle(20.0, 13.0)))]
@@ -92,17 +92,6 @@ def test_congruent_panels_get_congruent_triangles() -> None:
     assert -b[::-1] == pytest.approx(a, abs=1e-5)
 
 
-def test_every_fine_vertex_lies_in_its_coarse_triangle() -> None:
-    """The coarse ``uv`` positions, interpolated, are the fine ones; inside panels, seams apart."""
-    fine = build_box_mesh(sewn(panel("a", rectangle(20.0, 13.0)), panel("b", star(3))), spacing=1.0)
-    coarse = coarsen(fine)
-    flat, coarse_flat = np.zeros((len(fine.vertices), 3)), np.zeros((len(coarse.mesh.vertices), 3))
-    flat[fine.uv_vertex, :2], coarse_flat[coarse.mesh.uv_vertex, :2] = fine.uv, coarse.mesh.uv
-    inside = (coarse.weights > 0.0).sum(axis=1) == 3
-    assert inside.mean() > 0.5
-    assert coarse.refine(coarse_flat)[inside] == pytest.approx(flat[inside], abs=1e-9)
-
-
 def test_a_panel_that_touches_itself_is_refused() -> None:
     """Of the triangles round a point, two without a common side: the loops round both pass through the point."""
     fine = build_box_mesh(sewn(panel("a", rectangle(20.0, 20.0))), spacing=1.0)
@@ -173,8 +162,3 @@ def test_the_triangle_holds_the_point(cell: float) -> None:
 def test_a_point_beside_a_triangle_gets_it() -> None:
     points, faces = np.array([(0.0, 0.0), (4.0, 0.0), (0.0, 4.0), (40.0, 40.0)]), np.array([(0, 1, 2), (1, 3, 2)])
     assert locate(points, faces, np.array([(1.0, -0.01), (30.0, 60.0)]), 1.0).tolist() == [0, 1]
-
-
-def test_no_points_need_no_triangles() -> None:
-    points, faces = scattered(2)
-    assert locate(points, faces, np.zeros((0, 2)), 1.0).shape == (0,)

@@ -33,14 +33,15 @@ OUTLINES: dict[str, list[tuple[float, float]]] = {
     "slit": NARROW_SLIT,
     "wedge": [(0.0, 0.0), (30.0, 0.0), (30.0, 6.0)],
     "one triangle": [(0.0, 0.0), (1.0, 0.0), (0.5, 0.8)],
-    **{f"star {seed}": star(seed) for seed in range(12)},
+    **{f"star {seed}": star(seed) for seed in range(6)},
 }
 
 
 @pytest.mark.parametrize("name", OUTLINES)
 def test_triangles_fill_the_outline_once(name: str) -> None:
-    """Faces are counter-clockwise and have the outline's area; their border is exactly its segments."""
+    """Faces are counter-clockwise and have the outline's area; their border is exactly its segments; no edge flips."""
     assert_filled_once(loop(OUTLINES[name], 1.0))
+    assert_delaunay(loop(OUTLINES[name], 1.0))
 
 
 def assert_filled_once(border: np.ndarray) -> None:
@@ -69,13 +70,8 @@ def test_loops_in_one_plane_are_filled_once_each() -> None:
         assert (areas(made.points, made.faces[own]) > 0.0).all()
 
 
-@pytest.mark.parametrize("name", OUTLINES)
-def test_no_edge_needs_a_flip(name: str) -> None:
-    """Constrained Delaunay: the two angles opposite an inner edge add up to at most 180°."""
-    assert_delaunay(loop(OUTLINES[name], 1.0))
-
-
 def assert_delaunay(border: np.ndarray) -> None:
+    """The two angles opposite an inner edge add up to at most 180°."""
     seeds, faces = triangulate(border, 1.0)
     looks = angles(np.concatenate([border, seeds]), faces)
     opposite = {
@@ -111,26 +107,6 @@ def test_triangles_are_well_shaped(name: str, spacing: float) -> None:
     assert sides(points, faces).max() <= LONGEST * spacing
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_circumcircles_hold_no_point(seed: int) -> None:
-    """Delaunay's criterion; a convex outline needs no constraint."""
-    hull = shapely.MultiPoint(star(seed)).convex_hull
-    border = loop([(float(x), float(y)) for x, y in shapely.get_coordinates(hull)[:0:-1]], 1.0)
-    seeds, faces = triangulate(border, 1.0)
-    points = np.concatenate([border, seeds])
-    centres, radii = circumcircles(points, faces)
-    nearest, _ = cKDTree(points).query(centres)
-    assert (nearest > radii - 1e-4).all()
-
-
-def circumcircles(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centres as barycentric means, with weights sin 2α; radii a / 2 sin α."""
-    corner = np.radians(angles(points, faces))
-    weights = np.sin(2 * corner)
-    centres = (weights[..., None] * points[faces]).sum(axis=1) / weights.sum(axis=1)[:, None]
-    return centres, sides(points, faces)[:, 0] / (2 * np.sin(corner[:, 0]))
-
-
 def test_a_disc_is_meshed_as_regularly_as_its_inside() -> None:
     border = circle(20.0, 1.0)
     seeds, faces = triangulate(border, 1.0)
@@ -150,13 +126,6 @@ def test_a_gathered_edge_is_graded(gathered: float) -> None:
     assert angles(points, faces).min() > 20.0
     assert sides(points, faces).max() <= LONGEST
     assert areas(points, faces).sum() == pytest.approx(400.0)
-
-
-def test_a_slit_is_not_meshed_over() -> None:
-    border = loop(NARROW_SLIT, 1.0)
-    seeds, faces = triangulate(border, 1.0)
-    centroids = np.concatenate([border, seeds])[faces].mean(axis=1)
-    assert shapely.contains_xy(shapely.Polygon(border), *centroids.T).all()
 
 
 def test_the_mesh_scales_with_the_outline() -> None:
@@ -194,7 +163,7 @@ def dense_slit(random: np.random.Generator) -> tuple[np.ndarray, int]:
     return np.concatenate([border, inside, inside + [0.0, 2.15]]), len(border)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_every_segment_is_an_edge_afterwards(seed: int) -> None:
     points, n = dense_slit(np.random.default_rng(seed))
     before = triangles(points)
@@ -206,7 +175,7 @@ def test_every_segment_is_an_edge_afterwards(seed: int) -> None:
     assert len(np.unique(directed_edges(after), axis=0)) == 3 * len(after)  # no face lies on another
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_all_edges_except_segments_are_delaunay(seed: int) -> None:
     """The two angles opposite every other edge add up to at most half a turn."""
     points, n = dense_slit(np.random.default_rng(seed))
