@@ -1,7 +1,7 @@
 """Imports are cheap, and point one way."""
 
-import ast
 import os
+import re
 import subprocess
 import sys
 from functools import cache
@@ -80,13 +80,7 @@ def sources() -> list[Path]:
 @cache
 def imports_of(path: Path) -> set[str]:
     """Modules a file imports at any depth."""
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found |= {node.module}
-    return found
+    return set(re.findall(r"^ *(?:from|import) ([\w.]+)", path.read_text(), re.MULTILINE))
 
 
 USERS = {

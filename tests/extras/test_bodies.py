@@ -28,11 +28,13 @@ from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape
 from gcd_dataset.seeding import Stage, rng
 from tests.generator.body.test_find import (
     SAME,
+    SLOW_ERRORS,
     check_in_t_pose,
     clustered,
     fitted_woman,
     off,
     person,
+    require_an_error,
     require_exact_measures_of_turned_arms,
     require_the_published_measures,
     require_the_stated_bounds,
@@ -177,3 +179,24 @@ def test_moved_arms_of_a_body_unlike_the_model_are_reported_as_doubtful(examples
     assert any(remark.startswith("doubtful: shoulder") and "shoulder_w" in remark for remark in remarks)
     by = off(result.measurements, read_measurements(examples / "bodies" / "mean_all.yaml"))
     assert max(abs(by[key]) for key in SURE_ANYWHERE) < 1.0
+
+
+def test_a_body_scaled_and_moved_has_scaled_measures() -> None:
+    larger = find_body(
+        1.1 * woman().vertices + [250.0, -30.0, 80.0], woman().faces
+    ).result.measurements.to_file_values()
+    for key, value in fitted_woman().result.measurements.to_file_values().items():
+        assert larger[key] == pytest.approx(value if key in ANGLES else 1.1 * value, abs=SAME)
+
+
+def test_many_small_holes_do_not_change_the_measures(tmp_path: Path) -> None:
+    made = broken_body("pinholes", rng(0, 1, Stage.BODY, 1))
+    assert made.truth is not None
+    result, remarks = measure_file(made.write(tmp_path))
+    assert not {key for key, by in off(result.measurements, made.truth).items() if abs(by) > tolerance(key)}
+    assert any("holes in the skin, up to" in remark for remark in remarks)
+
+
+@pytest.mark.parametrize("kind", SLOW_ERRORS)
+def test_damage_that_a_fit_finds_is_an_error(kind: str, tmp_path: Path) -> None:
+    require_an_error(kind, tmp_path)

@@ -10,7 +10,7 @@ from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.fitting import Fitting, drape_patterns
-from gcd_dataset.generator.garments import GarmentDesign
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
 from gcd_dataset.generator.garments.design import MetaDesign
 from gcd_dataset.generator.garments.gathered_skirt import GatheredSkirtDesign
@@ -83,7 +83,7 @@ def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> No
 
 def test_a_skirt_of_many_levels_settles_nearly_without_crossings() -> None:
     """Up to five edges still cross: the mesh is as coarse as its folds."""
-    worn = wear(LEVELS, spacing=3.5)
+    worn = wear(design_from_dict(LEVELS), spacing=3.5)
     assert worn.drape.self_crossings <= 5
     assert worn.drape.body_crossings + worn.drape.body_through == 0
     assert worn.drape.stretch_p99 < 1.3

@@ -5,7 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from gcd_dataset.cli import main
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator import MakeConfig, produce
+from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.recipes import find_recipe
 from gcd_dataset.generator.recipes.hashing import made_patterns
 from gcd_dataset.patternhash import PatternHash
@@ -50,3 +55,15 @@ def test_other_instructions_give_the_same_hash() -> None:
     command, env = [sys.executable, "-c", PROGRAM], {**os.environ, **old}
     there = subprocess.run(command, capture_output=True, text=True, check=True, env=env).stdout.strip()
     assert there == PatternHash.of(made_patterns(find_recipe("smoke-64-draft"), range(2))).text
+
+
+def test_a_failure_in_a_worker_is_raised_here() -> None:
+    heavy = Overlay.from_dict({"meta": {"upper": "none", "bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.9}})
+    with pytest.raises(PatternError, match="2 designs were rejected, the last for: too_heavy"):
+        list(produce(5, range(4), MakeConfig(stage="pattern", design=heavy, max_attempts=2), workers=2))
+
+
+def test_the_smoke_set_has_the_cited_hash() -> None:
+    """After a change of the sampler, ``python -m gcd_dataset.generator.recipes.hashing NAME`` prints the new hash."""
+    recipe = find_recipe("smoke-64-draft")
+    assert PatternHash.of(made_patterns(recipe, range(recipe.designs))).agrees(recipe.patterns)

@@ -399,12 +399,6 @@ def test_samples_before_a_failure_are_yielded(monkeypatch: pytest.MonkeyPatch) -
     assert [sample.provenance.index for sample in made] == [0, 1, 2, 3]
 
 
-def test_a_failure_in_a_worker_is_raised_here() -> None:
-    heavy = Overlay.from_dict({"meta": {"upper": "none", "bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.9}})
-    with pytest.raises(PatternError, match="2 designs were rejected, the last for: too_heavy"):
-        list(produce(5, range(4), replace(BOTH, design=heavy, max_attempts=2), workers=2))
-
-
 @pytest.mark.parametrize(
     ("name", "devices"),
     [("cpu", ("cpu",)), ("cuda", ("cuda:0",)), ("cuda:1", ("cuda:1",)), ("cuda:0,1,1", ("cuda:0", "cuda:1"))],

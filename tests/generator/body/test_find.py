@@ -83,14 +83,6 @@ def test_found_landmarks_and_parts_equal_the_models() -> None:
     assert (fitted_woman().parts == woman().parts)[skin].mean() > 0.99
 
 
-def test_a_body_scaled_and_moved_has_scaled_measures() -> None:
-    larger = find_body(
-        1.1 * woman().vertices + [250.0, -30.0, 80.0], woman().faces
-    ).result.measurements.to_file_values()
-    for key, value in fitted_woman().result.measurements.to_file_values().items():
-        assert larger[key] == pytest.approx(value if key in ANGLES else 1.1 * value, abs=SAME)
-
-
 def test_measures_of_the_models_mesh_scale_exactly() -> None:
     body = build_body(female_shape())
     small, large = measure(body).to_file_values(), measure(replace(body, vertices=1.1 * body.vertices)).to_file_values()
@@ -106,6 +98,9 @@ ERRORS = {
     "arms grown to the trunk": "is merged with the trunk",
     "empty file": "no triangles",
 }
+
+
+SLOW_ERRORS = ("arms grown to the trunk", "no hands")  # found after a fit; in tests/extras
 
 
 def scene(body: Body) -> trimesh.Trimesh:
@@ -156,24 +151,17 @@ def test_a_height_of_no_adult_is_an_error(tall: float) -> None:
     assert unit_of(tall, "scan", height=165.0) == pytest.approx(165.0 / tall)
 
 
-@pytest.mark.parametrize("kind", ERRORS)
+@pytest.mark.parametrize("kind", [kind for kind in ERRORS if kind not in SLOW_ERRORS])
 def test_harmful_damage_is_an_error(kind: str, tmp_path: Path) -> None:
+    require_an_error(kind, tmp_path)
+
+
+def require_an_error(kind: str, tmp_path: Path) -> None:
     path = broken_body(kind, rng(1, list(ERRORS).index(kind), Stage.BODY)).write(tmp_path)
     with pytest.raises(BodyError, match=ERRORS[kind]) as caught:
         measure_file(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
-
-
-def test_a_body_file_needs_neither_measures_nor_parts(tmp_path: Path) -> None:
-    path = tmp_path / "scan.obj"
-    trimesh.Trimesh(woman().vertices * 10.0, woman().faces, process=False).export(path)
-    body, size = read_body(path)
-    assert np.abs(body.vertices - woman().vertices).max() < 0.01
-    assert size.waist == pytest.approx(measure(build_body(female_shape())).waist, abs=0.1)
-    assert set(np.unique(body.parts)) >= {part.value for part in BodyPart} - {BodyPart.INTERNAL.value}
-    hands = body.vertices[body.parts == BodyPart.LEFT_ARM.value, 0]
-    assert hands.min() > 8.0
 
 
 def test_given_landmarks_override_found_ones(tmp_path: Path) -> None:
@@ -310,14 +298,6 @@ def test_a_body_like_smplxs_lying_in_z_up_centimetres(tmp_path: Path, monkeypatc
     mouth = (body.parts == BodyPart.INTERNAL.value).sum() - len(np.unique(eyes))
     assert mouth > 50
     assert not (body_field(body, "cpu").part.numpy() == BodyPart.INTERNAL.value).any()
-
-
-def test_many_small_holes_do_not_change_the_measures(tmp_path: Path) -> None:
-    made = broken_body("pinholes", rng(0, 1, Stage.BODY, 1))
-    assert made.truth is not None
-    result, remarks = measure_file(made.write(tmp_path))
-    assert not {key for key, by in off(result.measurements, made.truth).items() if abs(by) > tolerance(key)}
-    assert any("holes in the skin, up to" in remark for remark in remarks)
 
 
 STATED = re.compile(

@@ -179,13 +179,8 @@ def test_a_garment_starts_from_its_panels_where_its_coarse_mesh_slid_off(monkeyp
 def test_a_garment_beside_its_body_slides_off() -> None:
     job = on_a_ball(4)
     mesh = job.box_mesh
-    aside = BoxMesh(
-        **{
-            **{name: getattr(mesh, name) for name in mesh.__dataclass_fields__},
-            "vertices": mesh.vertices + [60.0, 0.0, 0.0],
-            "labels": {"lower_interface": np.arange(len(mesh.vertices))},
-        }
-    )
+    labels = {"lower_interface": np.arange(len(mesh.vertices))}
+    aside = replace(mesh, vertices=mesh.vertices + [60.0, 0.0, 0.0], labels=labels)
     [drape] = drape_batch([DrapeJob(aside, job.body, SIZE)], DrapeConfig(held_time=0.1), device="cpu")
     assert drape.outcome is Outcome.SLID_OFF
     assert drape.frames < DrapeConfig().max_frames
@@ -225,7 +220,7 @@ def test_an_overfull_contact_list_is_reported() -> None:
     folded = np.array(job.box_mesh.vertices)
     folded[:, 1] = SIZE.waist_level + 5.0 + 0.001 * folded[:, 0]
     folded[:, [0, 2]] *= 0.05
-    mesh = BoxMesh(**{**{n: getattr(job.box_mesh, n) for n in job.box_mesh.__dataclass_fields__}, "vertices": folded})
+    mesh = replace(job.box_mesh, vertices=folded)
     config = DrapeConfig(contact_capacity=1, max_frames=2)
     [drape] = drape_batch([DrapeJob(mesh, job.body, SIZE)], config, device="cpu")
     assert drape.outcome is Outcome.OVERFULL

@@ -261,7 +261,7 @@ def test_a_hopeless_choice_is_given_up_after_five_attempts() -> None:
 
 def test_after_twenty_attempts_uppers_and_bottoms_take_turns() -> None:
     """First those that the attempts before did not have; so each of them comes, however chance has it."""
-    drafts = [[drafted_design(3, number, attempt).meta for attempt in range(0, 100, 5)] for number in range(15)]
+    drafts = [[drafted_design(3, number, attempt).meta for attempt in range(0, 100, 5)] for number in range(9)]
     possible = defaultdict[tuple[str, Kind], set[Any]](set)
     for metas in drafts:
         for part in ("upper", "bottom"):
@@ -275,7 +275,7 @@ def test_after_twenty_attempts_uppers_and_bottoms_take_turns() -> None:
             assert set(seen[4 : 4 + len(untried)]) == untried
             assert set(seen[4 : 4 + len(options)]) == set(seen[-len(options) :]) == options
             renewed += bool(untried)
-    assert renewed >= 8
+    assert renewed >= 4
 
 
 def test_an_attempt_has_other_numbers_and_the_same_bottom(woman: Measurements) -> None:
