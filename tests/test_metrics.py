@@ -242,7 +242,8 @@ NOWHERE = Seam(EdgeRef("front", 9), EdgeRef("nobody", 0))
 SCORES: list[tuple[Pattern, Pattern, dict[str, float]]] = [
     # A panel is missing, one is too many, a quarter is cut off one.
     (replace(G, panels=G.panels[:2], seams=G.seams[:2]), G,
-        {"panel_count_acc": 0, "edge_count_acc": 2 / 3, "iou": 2 / 3, "stitch_p": 1, "stitch_r": 2 / 3, "stitch_f1": 0.8, "panel_l2": 0}),
+        {"panel_count_acc": 0, "edge_count_acc": 2 / 3, "iou": 2 / 3, "panel_l2": 0, "stitch_p": 1, "stitch_r": 2 / 3,
+         "stitch_f1": 0.8}),
     (replace(G, panels=(*G.panels, replace(G.panels[0], name="extra"))), G, {"panel_count_acc": 0, "iou": 3 / 4}),
     (replace(G, panels=(G.panels[0], LOW, G.panels[2])), G,
         {"panel_f1": 2 / 3, "panel_count_acc": 1, "topology_exact": 1}),
