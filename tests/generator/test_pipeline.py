@@ -307,14 +307,11 @@ def test_options_are_checked(option: str, value: object, expected: str) -> None:
         MakeConfig(**{option: value})  # type: ignore[arg-type]
 
 
-def test_a_recipe_is_the_same_with_2_and_2_0() -> None:
+def test_a_recipe_is_the_same_with_2_and_2_0_and_another_with_a_fabric() -> None:
     assert json.dumps(recipe_of(replace(DRAPED, resolution=2))) == json.dumps(
         recipe_of(replace(DRAPED, resolution=2.0))
     )
     assert recipe_of(DRAPED)["device"] == "cpu"
-
-
-def test_a_fabric_other_than_the_default_is_part_of_the_recipe() -> None:
     assert "fabric" not in recipe_of(DRAPED)  # recipes from before the option keep their hash
     assert recipe_of(replace(DRAPED, fabric="denim"))["fabric"] == "denim"
 

@@ -227,15 +227,12 @@ def test_a_level_off_the_mesh_has_an_empty_section() -> None:
     assert section(shape.vertices, shape.faces, 1, 9.0).shape == (0, 2, 3)
 
 
-def test_a_tape_bridges_hollows_and_a_contour_does_not() -> None:
+def test_a_tape_bridges_hollows_on_its_side_and_a_contour_does_not() -> None:
     corners = np.array([(0, 0), (4, 0), (4, 3), (2, 1), (0, 3)], float)
     notched = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
     in_space = np.stack([notched[..., 0], np.zeros((5, 2)), notched[..., 1]], axis=-1)
     assert girth(corners) == pytest.approx(14.0)
     assert contour_length(in_space) == pytest.approx(10.0 + 2 * np.sqrt(8.0))
-
-
-def test_tape_over_one_side_of_a_wedge() -> None:
     wedge = np.array([(0.0, 0.0), (3.0, 0.0), (0.0, 4.0), (1.0, 1.0)])
     assert tape(wedge, (0.0, -1.0)) == pytest.approx(3.0)
     assert tape(wedge, (-1.0, 0.0)) == pytest.approx(4.0)

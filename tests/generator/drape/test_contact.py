@@ -82,13 +82,6 @@ def test_each_of_several_bodies_has_its_own_field() -> None:
         assert np.abs(field.distance.numpy() - np.minimum(expected, 4.0)).max() < 1e-3
 
 
-def test_the_field_of_a_shared_body_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = body_from(trimesh.creation.icosphere(subdivisions=2, radius=7.7))
-    monkeypatch.setattr(HostField, "of", of := Mock(wraps=HostField.of))
-    body_fields([body] * 3, "cpu")
-    of.assert_called_once()
-
-
 def test_ears_fingers_and_toes_get_hulls_where_the_parts_have_no_head_hands_and_feet() -> None:
     """GarmentCode's segmentation counts hands as arms, feet as legs and the head as trunk."""
     body = build_body(neutral_shape())
@@ -104,9 +97,6 @@ def test_ears_fingers_and_toes_get_hulls_where_the_parts_have_no_head_hands_and_
     for points, planes in zip(known.extremities, found.planes, strict=True):
         end = points[np.abs(points[:, 0]) > np.percentile(np.abs(points[:, 0]), 90)]  # fingers, small toes, ears
         assert (end @ planes[:, :3].T + planes[:, 3]).max() < 0.1
-
-
-def test_a_ball_has_no_hulls() -> None:
     assert HostField.of(far_ball()).planes == ()
 
 

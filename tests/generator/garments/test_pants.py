@@ -61,12 +61,9 @@ def test_the_waist_is_as_wide_as_the_body_at_the_rise(rise: float, wearer: Measu
     assert pants(wearer, PantsDesign(), rise=rise).length("top") == pytest.approx(girth)
 
 
-def test_the_hips_are_as_wide_as_the_body(wearer: Measurements) -> None:
+def test_the_hips_and_the_crotch_are_as_wide_as_the_body(wearer: Measurements) -> None:
     front, back = halves(wearer, PantsDesign())
     assert 2 * (across(front, "outside", "centre") + across(back, "outside", "centre")) == pytest.approx(wearer.hips)
-
-
-def test_the_crotch_reaches_between_the_legs(wearer: Measurements) -> None:
     front, back = halves(wearer, PantsDesign(width=1.3))
     needed = wearer.leg_circ - wearer.hips / 2 + 5.0
     assert across(front, "centre", "crotch") + across(back, "centre", "crotch") == pytest.approx(1.3 * needed)
@@ -242,9 +239,6 @@ def test_a_cuff_covers_its_share_of_the_arm_but_no_more_than_seven_tenths_of_the
     assert sleeve_cuff_length(woman, cuffed(None)) == 0.0
     assert sleeve_cuff_length(woman, cuffed(Cuff.BAND, cuff_len=0.2)) == pytest.approx(0.2 * woman.arm_length)
     assert sleeve_cuff_length(woman, cuffed(Cuff.BAND, cuff_len=0.9)) == pytest.approx(0.42 * woman.arm_length)
-
-
-def test_a_sleeve_without_cuff_is_unchanged(woman: Measurements) -> None:
     sleeve = straight_sleeve(end=14.0)
     assert with_sleeve_cuff(woman, cuffed(None), sleeve) is sleeve
 

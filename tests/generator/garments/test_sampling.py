@@ -54,9 +54,18 @@ def test_hardly_any_design_is_rejected() -> None:
     assert sum(isinstance(pattern, Reject) for pattern in found) <= 0.06 * COUNT
 
 
-def test_kinds_are_equally_likely() -> None:
+def test_choices_and_free_parameters_have_their_shares() -> None:
+    """Kinds are equally likely; a fifth of uppers have halves that differ."""
     kinds = Counter(sample_kind(rng(0, number, Stage.KIND)) for number in range(450))
     assert [kinds[kind] / 450 for kind in Kind] == pytest.approx([1 / 3] * 3, abs=0.07)
+    metas = [design.meta for design in designs()]
+    assert len({meta.upper for meta in metas} | {meta.bottom for meta in metas} | {meta.wb for meta in metas}) == 13
+    uppers = [design for design in designs() if design.meta.upper]
+    assert np.mean([design.left.enable_asym for design in uppers]) == pytest.approx(0.2, abs=0.15)
+    # ``sleeve_angle`` is uniform; ``smoothing_coeff`` keeps its default with probability 0.8.
+    sleeves = [design.sleeve for design in designs() if design.meta.upper]
+    assert np.mean([sleeve.sleeve_angle for sleeve in sleeves]) == pytest.approx(30, abs=5)
+    assert np.mean([sleeve.smoothing_coeff == 0.25 for sleeve in sleeves]) == pytest.approx(0.8, abs=0.15)
 
 
 @pytest.mark.parametrize("kind", Kind)
@@ -70,16 +79,6 @@ def test_a_kind_has_its_parts(kind: Kind) -> None:
         }[kind]
 
 
-def test_every_part_is_drawn() -> None:
-    metas = [design.meta for design in designs()]
-    assert len({meta.upper for meta in metas} | {meta.bottom for meta in metas} | {meta.wb for meta in metas}) == 13
-
-
-def test_halves_differ_in_a_fifth_of_uppers() -> None:
-    uppers = [design for design in designs() if design.meta.upper]
-    assert np.mean([design.left.enable_asym for design in uppers]) == pytest.approx(0.2, abs=0.15)
-
-
 def test_unused_sections_keep_their_defaults() -> None:
     plain = to_dict(GarmentDesign())
     for design in designs():
@@ -88,24 +87,13 @@ def test_unused_sections_keep_their_defaults() -> None:
         assert all(values[section] == plain[section] for section in unused)
 
 
-def test_no_hem_reaches_the_floor() -> None:
+def test_no_hem_reaches_the_floor_and_shirts_with_a_band_or_a_bottom_end_near_the_waist() -> None:
+    """A band sits at the waist; sewn to a longer shirt it would pull the hem up."""
     for number, design in enumerate(designs()):
         size = wearers()[number % 8]
         assert garment_length(size, design) <= room_to_floor(size, design) + 1e-6
-
-
-def test_a_shirt_with_a_band_or_a_bottom_ends_near_the_waist() -> None:
-    # A band sits at the waist; sewn to a longer shirt it would pull the hem up.
-    for design in designs():
         if design.meta.upper is Upper.SHIRT and (design.meta.wb or design.meta.bottom):
             assert 0.8 <= design.shirt.length <= 1.3
-
-
-def test_free_parameters_follow_their_rule() -> None:
-    """``sleeve_angle`` is uniform; ``smoothing_coeff`` keeps its default with probability 0.8."""
-    sleeves = [design.sleeve for design in designs() if design.meta.upper]
-    assert np.mean([sleeve.sleeve_angle for sleeve in sleeves]) == pytest.approx(30, abs=5)
-    assert np.mean([sleeve.smoothing_coeff == 0.25 for sleeve in sleeves]) == pytest.approx(0.8, abs=0.15)
 
 
 def test_designs_stay_within_an_overlay() -> None:

@@ -44,9 +44,6 @@ def test_slits_take_their_share_of_the_skirt_below_the_hips(woman: Measurements)
     pattern = skirt(woman, Bottom.GATHERED, {"skirt": {"length": 0.6, "bottom_cut": 0.5, "flare": 0}})
     assert length(pattern.panel("skirt_front"), "left_slit") == pytest.approx(0.5 * 0.6 * woman.leg_length)
     assert length(pattern.panel("skirt_front"), "left") == pytest.approx(woman.hips_line + 0.3 * woman.leg_length)
-
-
-def test_slits_of_garmentcode_are_a_fraction_of_a_centimetre(woman: Measurements) -> None:
     design = {"skirt": {"length": 0.6, "bottom_cut": 0.5, "flare": 0}}
     pattern = skirt(woman, Bottom.GATHERED, design, mends=frozenset())
     assert length(pattern.panel("skirt_back"), "right_slit") == pytest.approx(0.3)

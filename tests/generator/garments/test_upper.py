@@ -257,14 +257,11 @@ def test_a_sleeve_of_full_length_ends_at_the_wrist(woman: Measurements) -> None:
     assert np.ptp(panel.vertices[:, 0]) == pytest.approx(woman.arm_length)
 
 
-def test_no_sleeve_is_shorter_than_five_centimetres_under_the_arm(woman: Measurements) -> None:
+def test_no_sleeve_is_shorter_than_five_centimetres_nor_narrower_than_the_wrist(woman: Measurements) -> None:
     panel = sleeved(woman, length=0.1, sleeve_angle=50, connecting_width=0.8).panel("right_sleeve_f")
     (under,) = (i for i, edge in enumerate(panel.edges) if edge.name == "under")
     start, end = panel.edge_ends(under)
     assert abs(end[0] - start[0]) == pytest.approx(5.0)
-
-
-def test_no_sleeve_is_narrower_than_the_wrist(woman: Measurements) -> None:
     pattern = sleeved(replace(woman, wrist=30.0), end_width=0.2)
     assert length(pattern.panel("right_sleeve_f"), "end") == pytest.approx(15.0)
     assert length(pattern.panel("right_sleeve_b"), "end") == pytest.approx(15.0)
@@ -286,9 +283,6 @@ def test_a_standing_shoulder_continues_the_line_of_the_shoulder(woman: Measureme
     inwards = 6.0 * cos(radians(40) - woman.shoulder_incl)
     flat = sum(edge_lengths(sleeved(woman, sleeve_angle=40).panel("right_sleeve_f"), "upper"))
     assert second > flat - inwards
-
-
-def test_a_shoulder_stands_only_where_the_sleeve_hangs(woman: Measurements) -> None:
     stands: dict[str, Any] = {"standing_shoulder": True, "sleeve_angle": 10}
     assert len(edge_lengths(sleeved(woman, **stands).panel("right_sleeve_f"), "upper")) == 1
 
