@@ -125,19 +125,13 @@ def test_corners_may_be_numbered_otherwise_than_the_loop() -> None:
     assert again(Pattern("p", (panel,), ())).panels == (panel,)
 
 
-def test_centroid_of_a_half_disc() -> None:
+def test_centroids_of_a_half_disc_a_triangle_and_a_strip_without_area() -> None:
     """4 r / 3 π from the straight side."""
     corners = np.array([[-6.0, 0.0], [6.0, 0.0]])
     disc = loop("half", corners, [LINE, Arc(6.0, large=False, right=True)])
     assert np.allclose(area_centroid(disc), [0.0, 4 * 6 / (3 * np.pi)], atol=1e-9)
-
-
-def test_centroid_of_a_triangle_is_that_of_its_corners() -> None:
     corners = np.array([[1.0, 2.0], [7.0, 3.0], [4.0, 11.0]])
     assert np.allclose(area_centroid(loop("t", corners, [LINE] * 3)), corners.mean(axis=0))
-
-
-def test_centroid_of_a_strip_without_area_is_that_of_its_corners() -> None:
     corners = np.array([[0.0, 0.0], [4.0, 0.0], [8.0, 0.0]])
     assert np.allclose(area_centroid(loop("t", corners, [LINE] * 3)), [4.0, 0.0])
 
@@ -243,17 +237,15 @@ def hash_text(*patterns: PatternTensor) -> str:
     return PatternHash.of(enumerate(patterns)).text
 
 
-@pytest.mark.parametrize("column", [PanelColumn.X, PanelColumn.QUATERNION_X, PanelColumn.CENTROID_Y, PanelColumn.LABEL])
-def test_another_panel_is_another_pattern(column: PanelColumn) -> None:
-    assert hash_text(changed("panels", 1, column, 1.0)) != hash_text(NAPKINS)
+PANEL_COLUMNS = (PanelColumn.X, PanelColumn.QUATERNION_X, PanelColumn.CENTROID_Y, PanelColumn.LABEL)
+EDGE_COLUMNS = (EdgeColumn.START_X, EdgeColumn.KIND, EdgeColumn.CONTROL0_X, EdgeColumn.RIGHT)
 
 
-@pytest.mark.parametrize("column", [EdgeColumn.START_X, EdgeColumn.KIND, EdgeColumn.CONTROL0_X, EdgeColumn.RIGHT])
-def test_another_edge_or_curve_is_another_pattern(column: EdgeColumn) -> None:
-    assert hash_text(changed("edges", 2, column, 1.0)) != hash_text(NAPKINS)
-
-
-def test_another_stitch_name_or_index_is_another_pattern() -> None:
+def test_another_panel_edge_stitch_name_or_index_is_another_pattern() -> None:
+    for column in PANEL_COLUMNS:
+        assert hash_text(changed("panels", 1, column, 1.0)) != hash_text(NAPKINS)
+    for edge in EDGE_COLUMNS:
+        assert hash_text(changed("edges", 2, edge, 1.0)) != hash_text(NAPKINS)
     assert hash_text(changed("stitches", 0, 2, 1)) != hash_text(NAPKINS)
     assert hash_text(replace(NAPKINS, panel_names=("one", "three"))) != hash_text(NAPKINS)
     assert hash_pattern(1, NAPKINS).text != hash_pattern(0, NAPKINS).text
