@@ -50,7 +50,7 @@ def test_seeds_and_indices_make_different_garments() -> None:
     assert first.measurements != other.measurements
 
 
-def test_a_stage_leaves_out_the_later_fields() -> None:
+def test_a_stage_leaves_out_the_later_fields_and_holds_gathers_and_tags() -> None:
     flat, meshed = make(5, 0, FLAT), make(5, 0, MESHED)
     assert flat.box_mesh is None
     assert flat.points is None
@@ -59,6 +59,11 @@ def test_a_stage_leaves_out_the_later_fields() -> None:
     assert meshed.pattern == flat.pattern
     assert meshed.points is not None
     assert meshed.points.shape == (64, 6)
+    for config in (FLAT, MESHED):
+        sample = make(5, 0, config)
+        assert sample.gathers == sample.pattern.gather_ratios()
+        assert sample.tags == garment_tags(sample.measurements, design_from_dict(sample.design), sample.pattern)
+        assert sample.tags
 
 
 def test_a_pattern_keeps_the_gathers_of_its_seams() -> None:
@@ -78,14 +83,6 @@ def test_a_pattern_keeps_the_gathers_of_its_seams() -> None:
         elif sides in ("right", "left"):
             assert ratio == pytest.approx(1.0, abs=1e-3)
     assert sum(ratio < 0.7 for ratio in ratios) == 4  # front and back of two levels
-
-
-def test_samples_of_every_stage_hold_gathers_and_tags() -> None:
-    for config in (FLAT, MESHED):
-        sample = make(5, 0, config)
-        assert sample.gathers == sample.pattern.gather_ratios()
-        assert sample.tags == garment_tags(sample.measurements, design_from_dict(sample.design), sample.pattern)
-        assert sample.tags
 
 
 def test_both_bodies_wear_one_design() -> None:
@@ -224,12 +221,17 @@ def test_after_a_failed_drape_the_upper_and_the_bottom_stay() -> None:
         assert kept.design != again.design
 
 
-def test_a_failed_drape_can_be_kept() -> None:
+def test_a_failed_drape_and_the_last_attempt_can_be_kept() -> None:
     rejects = make(5, 0, FLAT).provenance.rejects
     [sample] = produce(5, [0], replace(DRAPED, picture=0, on_fail="keep"), draper=Failing(1))
     assert sample.drape is not None
     assert sample.drape.outcome is Outcome.NOT_SETTLED
     assert sample.provenance.rejects == rejects
+    # A garment that never settles does not stop a data set.
+    [sample] = produce(5, [7], replace(DRAPED, picture=0, max_attempts=3), draper=Failing(99))
+    assert sample.drape is not None
+    assert sample.drape.outcome is Outcome.NOT_SETTLED
+    assert sample.provenance.attempts == 3
 
 
 def test_another_attempt_does_not_build_the_wearers_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -265,14 +267,6 @@ def test_a_failed_mesh_rejects_the_design_for_both_bodies(monkeypatch: pytest.Mo
     neutral, random = produce(5, [0, 1], replace(MESHED, bodies="both"))
     assert neutral.design == random.design
     assert "cannot_be_meshed: panel front is nearly a line" in neutral.provenance.rejects
-
-
-def test_a_failed_last_attempt_is_kept() -> None:
-    """A garment that never settles does not stop a data set."""
-    [sample] = produce(5, [7], replace(DRAPED, picture=0, max_attempts=3), draper=Failing(99))
-    assert sample.drape is not None
-    assert sample.drape.outcome is Outcome.NOT_SETTLED
-    assert sample.provenance.attempts == 3
 
 
 def test_the_error_of_an_index_without_a_pattern_names_it(monkeypatch: pytest.MonkeyPatch) -> None:

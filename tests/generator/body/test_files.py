@@ -96,15 +96,12 @@ def test_the_models_mesh_is_recognised(tmp_path: Path, caplog: pytest.LogCapture
     assert again.name == "me"
 
 
-def test_inward_faces_are_flipped(mannequin: dict[str, Path]) -> None:
+def test_inward_faces_are_flipped_and_ids_may_be_whole_floats(mannequin: dict[str, Path]) -> None:
     box = trimesh.load(mannequin["mesh"], process=False)
     trimesh.Trimesh(box.vertices, box.faces[:, ::-1], process=False).export(mannequin["mesh"])
     body, _ = read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
     assert trimesh.Trimesh(body.vertices, body.faces, process=False).volume > 0
     assert body.parts.tolist() == [0, 0, 0, 0, 1, 2, 3, 4]
-
-
-def test_vertex_ids_may_be_written_as_whole_floats_and_a_list_as_null(mannequin: dict[str, Path]) -> None:
     mannequin["parts"].write_text(PARTS % '7.0], "head": null, "hands": [0.0')
     body, _ = read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
     assert body.parts.tolist() == [BodyPart.HANDS.value, 0, 0, 0, 1, 2, 3, 4]
@@ -174,12 +171,9 @@ def test_errors_of_broken_files_give_place_and_remedy(
     assert len(message.removeprefix(str(mannequin[name]))) < 400
 
 
-def test_without_a_segmentation_a_box_is_searched_for_a_body(mannequin: dict[str, Path]) -> None:
+def test_meshes_that_are_no_body_are_refused(mannequin: dict[str, Path]) -> None:
     with pytest.raises(BodyError, match=r"box\.obj: 12 triangles with an area, a body needs at least 500"):
         read_body(mannequin["mesh"], mannequin["size"])
-
-
-def test_a_flat_mesh_and_loose_triangles_are_no_body(mannequin: dict[str, Path]) -> None:
     flat = trimesh.creation.annulus(20.0, 80.0, 1e-9, sections=200)
     flat.vertices[:, 2] = 0.0
     corners = np.repeat(np.arange(600.0), 3)[:, None] * [0.0, 0.3, 0.0] + np.tile(np.eye(3), (600, 1))
@@ -188,9 +182,6 @@ def test_a_flat_mesh_and_loose_triangles_are_no_body(mannequin: dict[str, Path])
         mesh.export(mannequin["mesh"])
         with pytest.raises(BodyError, match=message):
             read_body(mannequin["mesh"])
-
-
-def test_a_body_of_an_impossible_height_is_an_error(mannequin: dict[str, Path]) -> None:
     trimesh.creation.box((1.0, 20.0, 1.0)).export(mannequin["mesh"])
     with pytest.raises(BodyError, match="20 tall, no adult's height in centimetres, metres"):
         read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])

@@ -275,17 +275,14 @@ def test_the_wording_is_a_function_of_seed_and_index() -> None:
     assert caption(*worn, level="full", seed=5, index=3) == texts[3]
 
 
-def test_an_unknown_level_is_refused() -> None:
-    with pytest.raises(ConfigError, match="give one of short, medium, full"):
-        caption(*drawn(WOMAN, meta={"upper": "Shirt"}), level="long")
-
-
-def test_the_member_holds_one_level_a_line() -> None:
+def test_the_member_holds_one_level_a_line_and_an_unknown_level_is_refused() -> None:
     texts = drawn(WOMAN, meta={"upper": "Shirt"}).captions()
     assert read_captions(caption_text(texts)) == texts
     assert caption_text(texts).splitlines()[1] == f"medium: {texts['medium']}"
     with pytest.raises(ShardError, match="a caption whose lines do not begin with short:, medium:, full:"):
         read_captions("a skirt")
+    with pytest.raises(ConfigError, match="give one of short, medium, full"):
+        caption(*drawn(WOMAN, meta={"upper": "Shirt"}), level="long")
 
 
 @pytest.mark.parametrize(

@@ -261,9 +261,8 @@ def test_a_strip_over_an_edge_has_its_bending_length(fabric: Fabric, grain: Grai
 
 
 @pytest.mark.parametrize("direction", ["warp", "weft", "bias"])
-@pytest.mark.parametrize("spacing", [1.0, 2.0])
-def test_a_strip_with_a_weight_has_the_tensile_stiffness_of_its_fabric(direction: Direction, spacing: float) -> None:
-    found = tensile_stiffness(WOVEN, direction, spacing=spacing)
+def test_a_strip_with_a_weight_has_the_tensile_stiffness_of_its_fabric(direction: Direction) -> None:
+    found = tensile_stiffness(WOVEN, direction, spacing=2.0)
     assert found == pytest.approx(getattr(WOVEN.pull, direction), rel=0.05)
 
 

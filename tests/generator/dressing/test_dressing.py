@@ -126,13 +126,10 @@ def test_a_garment_over_the_head_comes_down_to_the_waist(wearer: tuple[Body, Mea
     assert "top edge hung 240 cm high" in dressed.assumed[0]
 
 
-def test_a_panel_without_seams_is_refused_by_name(wearer: tuple[Body, Measurements]) -> None:
+def test_a_panel_without_seams_is_refused_by_name_unless_it_is_alone(wearer: tuple[Body, Measurements]) -> None:
     pair = (replace(rectangle("one", 50.0, 40.0, z=0.0), name="one"), rectangle("two", 50.0, 40.0, z=0.0))
     with pytest.raises(PatternError, match=r"no seam joins (one|two) to the rest"):
         dress(Pattern("pair", pair, ()), *wearer)
-
-
-def test_a_lone_panel_gets_no_held_edge(wearer: tuple[Body, Measurements]) -> None:
     cloth = Pattern("cloth", (rectangle("cloth", 50.0, 40.0, z=30.0, y=100.0),), ())
     dressed = dress(cloth, *wearer)
     assert any("hold" in sentence for sentence in dressed.assumed)
@@ -196,15 +193,12 @@ def tube(wide: float, tall: float, *, y: float = 0.0) -> Pattern:
     return Pattern("tube", (front, back), seams)
 
 
-def test_a_tube_has_two_openings_of_its_girth() -> None:
+def test_openings_of_a_tube_a_bag_and_a_lone_panel() -> None:
     top, bottom = openings_of(tube(50.0, 30.0, y=60.0))
     assert {ref.edge for ref in top.edges if ref.panel == "front"} == {2}
     assert [top.length, bottom.length] == pytest.approx([100.0, 100.0])
     assert np.allclose(top.centre, [0.0, 90.0, 0.0])
     assert np.allclose(bottom.centre, [0.0, 60.0, 0.0])
-
-
-def test_a_closed_bag_has_one_opening_and_a_lone_panel_its_outline() -> None:
     pattern = tube(50.0, 30.0)
     bag = replace(pattern, seams=(*pattern.seams, Seam(EdgeRef("front", 0), EdgeRef("back", 3))))
     assert len(openings_of(bag)) == 1

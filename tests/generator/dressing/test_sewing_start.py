@@ -114,9 +114,12 @@ def test_cloth_sewn_all_round_but_for_a_slit_is_no_tube() -> None:
     assert np.array_equal(placed, mesh.vertices)
 
 
-def test_a_narrow_skirt_starts_flat() -> None:
+def test_a_narrow_skirt_starts_flat_and_one_with_room_for_the_feet_where_it_is_placed() -> None:
     mesh = mesh_of({"meta": PENCIL, "pencil-skirt": {"length": 0.4}})
     assert np.array_equal(sewing_start(mesh, neutral()[0]), mesh.vertices)
+    mesh = mesh_of({"meta": PENCIL, "pencil-skirt": {"length": 0.95, "flare": 1.5}})
+    skirt = vertices_of(mesh, PanelRole.LEG)
+    assert np.array_equal(sewing_start(mesh, neutral()[0])[skirt], mesh.vertices[skirt])
 
 
 @pytest.mark.parametrize("aside", [0.0, 9.0])
@@ -134,12 +137,6 @@ def test_a_narrow_skirt_down_to_the_floor_starts_above_the_feet_and_round_both_l
         cloth, skin = (points[np.abs(points[:, 1] - height) < 3.0, 0] for points in (start, legs))
         assert cloth.min() < skin.min()
         assert cloth.max() > skin.max()
-
-
-def test_a_skirt_with_room_for_the_feet_starts_where_the_pattern_places_it() -> None:
-    mesh = mesh_of({"meta": PENCIL, "pencil-skirt": {"length": 0.95, "flare": 1.5}})
-    skirt = vertices_of(mesh, PanelRole.LEG)
-    assert np.array_equal(sewing_start(mesh, neutral()[0])[skirt], mesh.vertices[skirt])
 
 
 def test_a_wide_bodice_without_sleeves_starts_between_the_arms() -> None:
@@ -373,16 +370,13 @@ def strip() -> tuple[BoxMesh, FlatCloth]:
     return mesh, FlatCloth.of(mesh, np.ones(len(mesh.faces), bool))
 
 
-def test_a_harmonic_function_between_the_ends_of_a_strip_is_linear() -> None:
+def test_a_harmonic_function_between_the_ends_of_a_strip_is_linear_and_keeps_the_bounds_of_its_border() -> None:
     """Up to 0.003: the cotangent weights of right angles are 0, and are raised to ``LEAST_WEIGHT``."""
     mesh, cloth = strip()
     along = mesh.uv[:, 0]
     ends = np.flatnonzero((along == along.min()) | (along == along.max()))
     values = cloth.harmonic(ends, (along[ends] > along.mean()).astype(float))
     assert values == pytest.approx((along - along.min()) / np.ptp(along), abs=0.003)
-
-
-def test_a_harmonic_function_keeps_the_bounds_of_its_border() -> None:
     _, cloth = strip()
     border = cloth.border
     assert len(border) == 2 * (12 + 5)

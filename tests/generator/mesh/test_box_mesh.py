@@ -137,15 +137,12 @@ def cone(opening: float) -> Pattern:
     return sewn(panel("cone", corners), seams=(seam(("cone", 0), ("cone", 2)),))
 
 
-def test_a_cone_is_a_disc() -> None:
+def test_a_cone_is_a_disc_if_a_face_is_left_at_its_tip() -> None:
     mesh = build_box_mesh(cone(150.0))
     assert euler_characteristic(mesh) == 1
     _, faces_of_edge = undirected_edges(mesh.faces)
     assert (faces_of_edge == 1).sum() == 39  # the hem: 40 · sin 75° = 38.6 cm
-
-
-def test_a_cone_without_a_face_at_its_tip_is_an_error() -> None:
-    """Sewing collapses a triangle across a sharp corner, which would leave the tip without a face."""
+    # Sewing collapses a triangle across a sharp corner, which would leave the tip without a face.
     with pytest.raises(MeshError, match=r"panel cone: the corner at \(0.00, 0.00\) cm is sewn to itself"):
         build_box_mesh(cone(35.0))
 
@@ -229,14 +226,11 @@ def test_a_label_holds_all_vertices_of_a_seam_and_the_inner_vertices_of_a_free_e
     assert sorted(collar[:, 0].tolist()) == pytest.approx([6.0, 7.0, 8.0, 9.0])
 
 
-def test_edges_with_one_label_form_one_set_of_vertices() -> None:
+def test_edges_with_one_label_form_one_set_of_vertices_and_contradictory_labels_are_an_error() -> None:
     """The collar is the seam and the free edge; their common point occurs once."""
     mesh = build_box_mesh(labelled("collar", "", "collar"))
     assert len(mesh.labels["collar"]) == 6 + 4
     assert (np.diff(mesh.labels["collar"]) > 0).all()
-
-
-def test_contradictory_labels_of_a_seam_are_an_error() -> None:
     with pytest.raises(MeshError, match=r"seam 0 \(a edge 1 to b edge 3\) joins labels left_collar and waist"):
         build_box_mesh(labelled("left_collar", "waist", ""))
 

@@ -102,12 +102,9 @@ def points(*numbers: int) -> np.ndarray:
     return np.array(numbers)
 
 
-def test_right_sides_meet_end_to_start() -> None:
+def test_right_sides_meet_end_to_start_and_right_and_wrong_start_to_start() -> None:
     sewn = stitch_points((seam(A, B),), [(points(0, 1, 2), points(5, 6, 7))])
     assert list(zip(sewn.left.tolist(), sewn.right.tolist(), strict=True)) == [(0, 7), (1, 6), (2, 5)]
-
-
-def test_right_and_wrong_side_meet_start_to_start() -> None:
     sewn = stitch_points((seam(A, B, right_wrong=True),), [(points(0, 1, 2), points(5, 6, 7))])
     assert list(zip(sewn.left.tolist(), sewn.right.tolist(), strict=True)) == [(0, 5), (1, 6), (2, 7)]
 
@@ -135,9 +132,6 @@ def test_a_chain_of_seams_is_one_vertex() -> None:
 def test_a_vertex_is_the_mean_of_its_points() -> None:
     positions = np.array([(0, 0, 0), (4, 2, 0), (2, 1, 9), (7, 7, 7)], float)
     assert mean_positions(positions, points(0, 0, 0, 1)) == pytest.approx(np.array([(2, 1, 3), (7, 7, 7)]))
-
-
-def test_a_pattern_without_seams_merges_no_points() -> None:
     assert merge_points(stitch_points((), []), np.zeros(4, int), ()).tolist() == [0, 1, 2, 3]
 
 
