@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.broken_bodies import broken_body
 from benchmarks.cases.measures import tolerance
-from benchmarks.stand_ins import SMPL_VERTICES, coarser, like_smpl
+from benchmarks.stand_ins import SMPL_VERTICES, SMPLX_VERTICES, coarser, like_smpl, like_smplx
 from gcd_dataset.cli.garment import measured_text
 from gcd_dataset.generator.body import (
     build_body,
@@ -18,10 +19,11 @@ from gcd_dataset.generator.body import (
     female_shape,
     fit_shape,
     measure,
+    mesh_bodies,
     read_body,
     read_measurements,
 )
-from gcd_dataset.generator.body.measuring import find_body
+from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.generator.drape.body_field import body_field
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape
@@ -144,9 +146,10 @@ def test_our_mesh_in_a_scene_is_measured_upright_and_alone(tmp_path: Path) -> No
     assert max(map(abs, off(size, measure(body)).values())) < 0.7
 
 
-def test_our_mesh_is_set_upright_from_a_deep_lean(tmp_path: Path) -> None:
+@pytest.mark.parametrize("lean", [3.0, -30.0])
+def test_our_mesh_is_set_upright(lean: float, tmp_path: Path) -> None:
     body = build_body(female_shape())
-    turn = Rotation.from_euler("x", -30.0, degrees=True).as_matrix()
+    turn = Rotation.from_euler("x", lean, degrees=True).as_matrix()
     trimesh.Trimesh(body.vertices @ turn.T, body.faces, process=False).export(tmp_path / "own.ply")
     result, remarks = measure_file(tmp_path / "own.ply")
     assert max(map(abs, off(result.measurements, measure(body)).values())) < 0.5
@@ -200,3 +203,43 @@ def test_many_small_holes_do_not_change_the_measures(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", SLOW_ERRORS)
 def test_damage_that_a_fit_finds_is_an_error(kind: str, tmp_path: Path) -> None:
     require_an_error(kind, tmp_path)
+
+
+def test_arms_near_the_a_pose_are_measured_as_they_are() -> None:
+    body = build_body(BodyShape(female_shape().weights, np.radians(15.0)))
+    found = find_body(body.vertices, np.roll(body.faces, 1, axis=0))
+    assert found.arm_turn == 0.0
+    assert found.result.measurements.shoulder_incl == pytest.approx(measure(body).shoulder_incl, abs=np.radians(1.0))
+
+
+def test_a_body_like_smplxs_lying_in_z_up_centimetres(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """10,475 vertices in the T-pose with two eyeballs and an open mouth, which cloth must not touch."""
+    fits: list[FoundBody] = []
+
+    def fit(*mesh: Any, **options: Any) -> FoundBody:
+        """The fit of the mesh, which is read twice."""
+        if not fits:
+            fits.append(find_body(*mesh, **options))
+        return fits[0]
+
+    monkeypatch.setattr(mesh_bodies, "find_body", fit)
+    shape = BodyShape(female_shape().weights)
+    vertices, faces = like_smplx(shape)
+    assert len(vertices) == SMPLX_VERTICES
+    path = written(tmp_path / "smplx.obj", 100.0 * vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0], faces)
+    result, remarks = measure_file(path)
+    check_in_t_pose(result.measurements, shape)
+    assert "did not stand upright facing +z and was turned" in remarks
+    assert np.degrees(fits[0].arm_turn) == pytest.approx(45.0, abs=2.0)
+    shoulder, wrist = (fits[0].marks.points[name] for name in ("shoulder_right", "wrist_right"))
+    assert wrist[0] < shoulder[0] - 40.0
+    assert abs(wrist[1] - shoulder[1]) < 8.0
+    body, size = read_body(path)
+    assert size == result.measurements
+    assert body.vertices[:, 1].min() == pytest.approx(0.0)
+    pieces = trimesh.graph.connected_component_labels(trimesh.Trimesh(body.vertices, body.faces).face_adjacency)
+    eyes = body.faces[pieces != np.bincount(pieces).argmax()]
+    assert (body.parts[eyes] == BodyPart.INTERNAL.value).all()
+    mouth = (body.parts == BodyPart.INTERNAL.value).sum() - len(np.unique(eyes))
+    assert mouth > 50
+    assert not (body_field(body, "cpu").part.numpy() == BodyPart.INTERNAL.value).any()

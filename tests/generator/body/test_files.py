@@ -292,21 +292,14 @@ def mesh_of(*, ours: bool, metres: bool) -> trimesh.Trimesh:
     return trimesh.Trimesh(person().vertices * (0.01 if metres else 1.0), faces, process=False)
 
 
-def test_every_kind_of_file_gives_the_measures_of_the_body(tmp_path: Path) -> None:
-    for kind in ("stl", "glb", "obj"):
+def test_every_kind_of_file_gives_the_measures_of_the_body_which_can_be_dressed(tmp_path: Path) -> None:
+    for kind in ("stl", "glb"):
         mesh_of(ours=True, metres=kind == "glb").export(tmp_path / f"me.{kind}")
-        result, remarks = measure_file(tmp_path / f"me.{kind}")
-        assert not any("coarse" in remark for remark in remarks)
-        assert result.measurements.to_file_values() == pytest.approx(measure(person()).to_file_values(), abs=0.05)
-
-
-def test_a_body_in_a_mesh_file_can_be_dressed(tmp_path: Path) -> None:
-    mesh_of(ours=True, metres=True).export(tmp_path / "me.glb")
-    body, size, shape = named_body(tmp_path / "me.glb")
-    assert shape is None
-    assert np.array_equal(body.parts, person().parts)
-    assert body.vertices == pytest.approx(person().vertices, abs=1e-3)
-    assert size.height == pytest.approx(np.ptp(person().vertices[:, 1]), abs=1e-3)
+        body, size, shape = named_body(tmp_path / f"me.{kind}")
+        assert shape is None
+        assert size.to_file_values() == pytest.approx(measure(person()).to_file_values(), abs=0.05)
+        assert kind == "stl" or np.array_equal(body.parts, person().parts)
+        assert kind == "stl" or body.vertices == pytest.approx(person().vertices, abs=1e-3)
 
 
 def test_corners_of_stl_are_merged_in_order_of_appearance(tmp_path: Path) -> None:

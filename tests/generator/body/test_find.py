@@ -6,7 +6,6 @@ import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from benchmarks.broken_bodies import broken_body
 from benchmarks.cases.measures import tolerance
 from benchmarks.skin import skin_crossings
-from benchmarks.stand_ins import SMPLX_VERTICES, like_smplx
 from gcd_dataset.cli import main
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import (
@@ -24,7 +22,6 @@ from gcd_dataset.generator.body import (
     draw_shape,
     female_shape,
     measure,
-    mesh_bodies,
     read_body,
     read_measurements,
     write_measurements,
@@ -34,7 +31,6 @@ from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.generator.body.register import unit_of
 from gcd_dataset.generator.body.shape import T_POSE
-from gcd_dataset.generator.drape.body_field import body_field
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 
@@ -125,15 +121,6 @@ def test_the_body_of_a_scene_is_measured_upright_and_alone(tmp_path: Path, caplo
     assert np.abs(stood.vertices[:count] - body.vertices).max() < 2.0
     assert (stood.parts[:count] == body.parts)[body.parts != BodyPart.INTERNAL.value].mean() > 0.97
     assert (stood.parts[count:] == BodyPart.INTERNAL.value).all()  # the eyeball
-
-
-def test_our_mesh_is_set_upright(tmp_path: Path) -> None:
-    body = build_body(female_shape())
-    turn = Rotation.from_euler("x", 3.0, degrees=True).as_matrix()
-    trimesh.Trimesh(body.vertices @ turn.T, body.faces, process=False).export(tmp_path / "own.ply")
-    result, remarks = measure_file(tmp_path / "own.ply")
-    assert max(map(abs, off(result.measurements, measure(body)).values())) < 0.5
-    assert "did not stand upright facing +z and was turned" in remarks
 
 
 def test_a_mirrored_body_keeps_its_left_on_the_left(tmp_path: Path) -> None:
@@ -260,46 +247,6 @@ def require_exact_measures_of_turned_arms(angle: float, tmp_path: Path) -> None:
     assert any("moved there to be measured" in remark for remark in remarks)
 
 
-def test_arms_near_the_a_pose_are_measured_as_they_are() -> None:
-    body = build_body(BodyShape(female_shape().weights, np.radians(15.0)))
-    found = find_body(body.vertices, np.roll(body.faces, 1, axis=0))
-    assert found.arm_turn == 0.0
-    assert found.result.measurements.shoulder_incl == pytest.approx(measure(body).shoulder_incl, abs=np.radians(1.0))
-
-
-def test_a_body_like_smplxs_lying_in_z_up_centimetres(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """10,475 vertices in the T-pose with two eyeballs and an open mouth, which cloth must not touch."""
-    fits: list[FoundBody] = []
-
-    def fit(*mesh: Any, **options: Any) -> FoundBody:
-        """The fit of the mesh, which is read twice."""
-        if not fits:
-            fits.append(find_body(*mesh, **options))
-        return fits[0]
-
-    monkeypatch.setattr(mesh_bodies, "find_body", fit)
-    shape = BodyShape(female_shape().weights)
-    vertices, faces = like_smplx(shape)
-    assert len(vertices) == SMPLX_VERTICES
-    path = written(tmp_path / "smplx.obj", 100.0 * vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0], faces)
-    result, remarks = measure_file(path)
-    check_in_t_pose(result.measurements, shape)
-    assert "did not stand upright facing +z and was turned" in remarks
-    assert np.degrees(fits[0].arm_turn) == pytest.approx(45.0, abs=2.0)
-    shoulder, wrist = (fits[0].marks.points[name] for name in ("shoulder_right", "wrist_right"))
-    assert wrist[0] < shoulder[0] - 40.0
-    assert abs(wrist[1] - shoulder[1]) < 8.0
-    body, size = read_body(path)
-    assert size == result.measurements
-    assert body.vertices[:, 1].min() == pytest.approx(0.0)
-    pieces = trimesh.graph.connected_component_labels(trimesh.Trimesh(body.vertices, body.faces).face_adjacency)
-    eyes = body.faces[pieces != np.bincount(pieces).argmax()]
-    assert (body.parts[eyes] == BodyPart.INTERNAL.value).all()
-    mouth = (body.parts == BodyPart.INTERNAL.value).sum() - len(np.unique(eyes))
-    assert mouth > 50
-    assert not (body_field(body, "cpu").part.numpy() == BodyPart.INTERNAL.value).any()
-
-
 STATED = re.compile(
     r"height and girths may be up to ([\d.]+) cm off, wrist and leg_circ ([\d.]+) cm, "
     r"distances between landmarks ([\d.]+) cm and (\d+)°"
@@ -321,30 +268,27 @@ def clustered(body: Body, cell: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(corners, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)], process=False)
 
 
-def test_measures_do_not_depend_on_the_triangulation_of_a_surface() -> None:
-    """A body of 760 vertices, and the same surface with each triangle split into four, numbered otherwise."""
-    coarse = clustered(person(), 5.3)
-    assert 700 < len(coarse.vertices) < 900
-    fine = coarse.subdivide()
-    order = np.random.default_rng(0).permutation(len(fine.vertices))
-    found = find_body(np.asarray(coarse.vertices), np.asarray(coarse.faces))
-    same = find_body(fine.vertices[order], np.argsort(order)[fine.faces])
-    ours, theirs = (each.result.measurements.to_file_values() for each in (found, same))
-    for name in MEASURES:
-        assert ours[name] == pytest.approx(theirs[name], abs=0.5 * tolerance(name)), name
-
-
 def test_errors_of_a_coarse_mesh_are_within_the_stated_bounds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Remarks are also printed if the measures go to a file."""
-    clustered(person(), 5.3).export(tmp_path / "coarse.obj")
+    """Remarks are also printed if the measures go to a file.
+
+    The measures of the same surface, with each triangle split into four and numbered otherwise, are the same.
+    """
+    coarse = clustered(person(), 5.3)
+    assert 700 < len(coarse.vertices) < 900
+    coarse.export(tmp_path / "coarse.obj")
     assert main(["measure", str(tmp_path / "coarse.obj"), "--out", str(tmp_path / "size.yaml")]) == 0
     printed, text = capsys.readouterr(), (tmp_path / "size.yaml").read_text()
     assert printed.out == f"{tmp_path / 'size.yaml'}\n"
     assert "doubtful: a coarse mesh" in printed.err
     assert {line for line in text.splitlines() if line.startswith("# ")} <= set(printed.err.splitlines())
     require_the_stated_bounds(text)
+    fine = coarse.subdivide()
+    order = np.random.default_rng(0).permutation(len(fine.vertices))
+    same = find_body(fine.vertices[order], np.argsort(order)[fine.faces]).result.measurements.to_file_values()
+    for name, value in read_measurements(tmp_path / "size.yaml").to_file_values().items():
+        assert value == pytest.approx(same[name], abs=0.5 * tolerance(name)), name
 
 
 def require_the_stated_bounds(text: str) -> None:

@@ -54,7 +54,7 @@ def test_segment_through_a_triangle() -> None:
     assert list(crosses.numpy()) == expected
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(radius=st.floats(6.0, 15.0))
 def test_the_field_of_a_ball_is_the_distance_to_it(radius: float) -> None:
     field = body_field(body_from(trimesh.creation.icosphere(subdivisions=4, radius=radius)), "cpu")

@@ -36,6 +36,7 @@ from gcd_dataset.generator.drape.config import GRAVITY
 from gcd_dataset.generator.drape.fabrics import MEASURED, POISSON, bias_stiffness, shear_stiffness
 from gcd_dataset.generator.drape.model import ClothModel, build_model
 from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.pipeline import sample_fabric
 from gcd_dataset.generator.recipe import MakeConfig
@@ -327,7 +328,8 @@ def test_an_impossible_fabric_is_refused(wrong: dict[str, object], message: str)
         Fabric(**wrong)  # type: ignore[arg-type]
 
 
-SMALL = MakeConfig(resolution=10.0, points=16, picture=0, device="cpu", fabric="random", on_fail="keep")
+SKIRTS = Overlay.from_dict({"meta": {"upper": "none", "bottom": "PencilSkirt"}})  # they come to rest soon
+SMALL = MakeConfig(resolution=10.0, points=16, picture=0, device="cpu", fabric="random", on_fail="keep", design=SKIRTS)
 
 
 def figures(fabric: Fabric) -> np.ndarray:

@@ -161,19 +161,19 @@ def _at_depth(panel: Panel, z: float) -> Panel:
     return replace(panel, placement=Placement(np.array([x, y, z]), panel.placement.rotation))
 
 
-def test_a_net_of_a_hundred_openings_is_placed(wearer: tuple[Body, Measurements]) -> None:
-    """A hundred strips in a row, each sewn to the next above and below a slit."""
+def test_a_net_of_forty_openings_is_placed(wearer: tuple[Body, Measurements]) -> None:
+    """Forty strips in a row, each sewn to the next above and below a slit."""
     corners = np.array([[0, 0], [1, 0], [1, 4], [1, 6], [1, 10], [0, 10], [0, 6], [0, 4]], float)
     edges = tuple(Edge(i, (i + 1) % 8) for i in range(8))
-    panels = tuple(Panel(f"strip_{i}", corners, edges, UNPLACED) for i in range(100))
+    panels = tuple(Panel(f"strip_{i}", corners, edges, UNPLACED) for i in range(40))
     seams = tuple(
         Seam(EdgeRef(f"strip_{i}", right), EdgeRef(f"strip_{i + 1}", left))
-        for i in range(99)
+        for i in range(39)
         for right, left in ((1, 7), (3, 5))
     )
     net = Pattern("net", panels, seams)
     hung, _ = hang_from_lay_plan(net, wearer_of(*wearer))
-    assert len(openings_of(hung)) > 90
+    assert len(openings_of(hung)) > 35
     places = np.concatenate([panel.placement.apply(panel.vertices) for panel in hung.panels])
     assert np.isfinite(places).all()
 
@@ -385,7 +385,7 @@ def test_arms_forward_point_forward() -> None:
     assert reach @ FORWARD / np.linalg.norm(reach) / np.linalg.norm(FORWARD) > 0.97
 
 
-@pytest.mark.parametrize("name", ["arms_up", "arms_down_25", "legs_wide", "arms_forward"])
+@pytest.mark.parametrize("name", ["arms_up", "legs_wide", "arms_forward"])
 def test_posed_bodies_have_the_measures_of_the_a_pose(name: str) -> None:
     _, size = a_pose()
     posed = OTHER_BODIES[name](Path()).size.to_file_values()

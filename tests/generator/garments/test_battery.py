@@ -265,7 +265,7 @@ def test_garments_have_distinct_names_and_sections_distinct_classes() -> None:
     ],
 )
 def test_an_outfit_that_cannot_be_drawn_is_refused(size: Measurements, meta: dict[str, str], message: str) -> None:
-    with pytest.raises(BodyError | PatternError, match=message):
+    with pytest.raises((BodyError, PatternError), match=message):
         outfit(size, design_from_dict({"meta": meta}))
 
 
@@ -292,8 +292,8 @@ def test_capes_and_ponchos_are_sampled_if_an_overlay_names_them(woman: Measureme
         {"meta": {"upper": upper.value}, upper.garment.section: {"length": {"range": [1.0, 1.5]}}}
     )
     assert Overlay.from_dict(asked.to_dict()) == asked
-    assert {sample_kind(np.random.default_rng(seed), asked) for seed in range(20)} == {Kind.UPPER}
-    for seed in range(10):
+    assert {sample_kind(np.random.default_rng(seed), asked) for seed in range(8)} == {Kind.UPPER}
+    for seed in range(4):
         design = sample_design(np.random.default_rng(seed), [woman], kind=Kind.UPPER, overlay=asked)
         assert (design.meta.upper, design.meta.wb, design.meta.bottom) == (upper, None, None)
         assert 1.0 <= design_to_dict(design)[upper.garment.section]["length"] <= 1.5
@@ -302,7 +302,7 @@ def test_capes_and_ponchos_are_sampled_if_an_overlay_names_them(woman: Measureme
 
 def test_capes_and_ponchos_are_sampled_without_band_and_bottom() -> None:
     mixed = Overlay.from_dict({"meta": {"upper": {"options": ["Shirt", "Cape"]}}})
-    kinds = {kind: [sample_design(np.random.default_rng(n), kind=kind, overlay=mixed).meta for n in range(20)]
+    kinds = {kind: [sample_design(np.random.default_rng(n), kind=kind, overlay=mixed).meta for n in range(8)]
              for kind in (Kind.UPPER, Kind.FULL)}  # fmt: skip
     assert {meta.upper for meta in kinds[Kind.UPPER]} == {Upper.SHIRT, Upper.CAPE}
     assert {meta.upper for meta in kinds[Kind.FULL]} == {Upper.SHIRT}

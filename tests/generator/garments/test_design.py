@@ -174,7 +174,7 @@ def workwear(tmp_path: Path) -> Overlay:
     return read_overlay(file)
 
 
-def drawn_from(overlay: Overlay, count: int = 400) -> list[GarmentDesign]:
+def drawn_from(overlay: Overlay, count: int = 200) -> list[GarmentDesign]:
     rng = np.random.default_rng(5)
     return [draw(overlay.space, rng) for _ in range(count)]
 
@@ -188,8 +188,8 @@ def test_draws_stay_within_the_overlay(workwear: Overlay) -> None:
     assert 0.7 <= min(lengths) < 0.72 and 0.88 < max(lengths) <= 0.9
     angles = [design.sleeve.sleeve_angle for design in designs]
     assert set(angles) == set(range(10, 21))
-    assert np.mean([angle == 10 for angle in angles]) == pytest.approx(0.5, abs=0.08)
-    assert np.mean([design.meta.wb is None for design in designs]) == pytest.approx(0.25, abs=0.07)
+    assert np.mean([angle == 10 for angle in angles]) == pytest.approx(0.5, abs=0.12)
+    assert np.mean([design.meta.wb is None for design in designs]) == pytest.approx(0.25, abs=0.1)
 
 
 def test_other_parameters_are_drawn_as_without_the_overlay(workwear: Overlay) -> None:
@@ -256,7 +256,7 @@ def test_an_excluded_default_loses_its_probability_or_becomes_the_nearest_value(
     free = drawn_from(Overlay.from_dict({"shirt": {"length": {"range": [2.0, 3.0]}}}), 100)
     assert len({design.shirt.length for design in free}) == 100
     kept = drawn_from(Overlay.from_dict({"shirt": {"length": {"range": [2.0, 3.0], "keep": 0.5}}}))
-    assert np.mean([design.shirt.length == 2.0 for design in kept]) == pytest.approx(0.5, abs=0.08)
+    assert np.mean([design.shirt.length == 2.0 for design in kept]) == pytest.approx(0.5, abs=0.12)
 
 
 BAD = {
@@ -335,7 +335,7 @@ def test_the_default_file_equals_the_references_leaf_by_leaf(examples: Path, tmp
 def test_the_references_designs_survive_a_file_to_the_last_digit(examples: Path, tmp_path: Path) -> None:
     files = sorted(examples.glob("patterns/*/*/design_params.yaml"))
     assert len(files) == 24
-    for file in files:
+    for file in files[::5]:
         design = read_design(file)
         write_design(design, tmp_path / "design.yaml")
         assert read_design(tmp_path / "design.yaml") == design

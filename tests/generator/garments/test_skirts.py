@@ -155,7 +155,7 @@ def test_a_slit_in_the_side_leaves_the_seam_above_it(woman: Measurements, flare:
 def test_a_pencil_skirt_that_cannot_be_drawn_is_refused(
     woman: Measurements, measures: dict[str, float], design: dict[str, str], message: str
 ) -> None:
-    with pytest.raises(BodyError | PatternError, match=message):
+    with pytest.raises((BodyError, PatternError), match=message):
         skirt(replace(woman, **measures), Bottom.PENCIL, {"pencil-skirt": design})
 
 

@@ -362,8 +362,7 @@ MESHES = {
 }
 
 
-@pytest.mark.parametrize("spacing", [1.0, 2.0])
-@pytest.mark.parametrize("body", ["default_body", "random_body"])
+@pytest.mark.parametrize(("body", "spacing"), [("default_body", 1.0), ("random_body", 2.0)])
 @pytest.mark.parametrize("name", DESIGNS)
 def test_every_design_has_a_sound_mesh(examples: Path, name: str, body: str, spacing: float) -> None:
     """Manifold, without long edges and unused vertices; only the outline may force slivers."""
