@@ -402,23 +402,10 @@ def test_a_failure_waits_for_the_results_before_it() -> None:
     """The third piece of work fails first, while the first two are pending."""
     begun: list[DrapeRequest] = []
 
-    class Backwards:
-        at_once = 4
+    def receive() -> DrapeReply:
+        return DrapeReply(begun.pop().number, None, None)  # type: ignore[arg-type]
 
-        def send(self, request: DrapeRequest) -> None:
-            begun.append(request)
-
-        def poll(self) -> bool:
-            return False
-
-        def receive(self) -> DrapeReply:
-            return DrapeReply(begun.pop().number, None, None)  # type: ignore[arg-type]
-
-        def __enter__(self) -> Self:
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            pass
+    backwards = Mock(at_once=4, send=begun.append, poll=lambda: False, receive=receive)
 
     def piece(number: int) -> Work[int]:
         def finish(_: Sequence[DrapeReply]) -> int:
@@ -430,5 +417,5 @@ def test_a_failure_waits_for_the_results_before_it() -> None:
 
     made: list[int] = []
     with pytest.raises(PatternError, match="piece 2"):
-        made.extend(in_order(map(piece, range(4)), Backwards(), ahead=4, at_once=4))
+        made.extend(in_order(map(piece, range(4)), backwards, ahead=4, at_once=4))
     assert made == [0, 1]
