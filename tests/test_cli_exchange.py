@@ -352,7 +352,7 @@ def test_every_kind_of_file_is_written(published: Path) -> None:
     ("design", "main", "styles"),
     [
         ({"meta": {"upper": None, "bottom": "Pants"}, "pants": {"length": 0.9}}, "pants", ["maxi"]),
-        ({"meta": {"upper": "Cape"}, "cape": {"length": 2.0}}, "upper_garment", []),
+        ({"meta": {"upper": "Cape"}, "sleeve": {"sleeveless": True}}, "upper_garment", ["sleeveless"]),
         ({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"length": {"v": 0.4}}}, "skirt", ["knee_len"]),
         ({"meta": {"upper": "FittedShirt"}, "sleeve": {"sleeveless": True}}, "upper_garment", ["sleeveless"]),
         (
