@@ -287,36 +287,16 @@ def test_splits_that_the_published_layout_does_not_know_are_reported(
     assert "the published layout has no name for its splits (holdout)" in capsys.readouterr().err
 
 
-def test_a_folder_that_is_not_empty_is_not_mixed_up(
-    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("form", "name"), [("--hdf5", "all.h5"), ("--plain", "train-00000.tar")])
+def test_garments_of_one_split_become_hdf5_or_plain_tars(
+    form: str, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    fill(tmp_path / "shards", range(1))
-    assert run("export", tmp_path / "shards", "--layout", "published", published) == 2
-    assert "not empty: choose another folder" in capsys.readouterr().err
-
-
-def test_a_garment_that_is_not_draped_cannot_be_published(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config = MakeConfig(bodies="neutral", stage="pattern")
-    with ShardWriter(tmp_path / "shards", seed=3, recipe=recipe_of(config)) as writer:
-        writer.write(make(3, 0, config))
-    assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "out", "--quiet") == 1
-    assert "is not draped" in capsys.readouterr().err
-
-
-def test_one_file_of_hdf5(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    fill(tmp_path / "shards", range(3))
-    assert run("export", tmp_path / "shards", "--hdf5", tmp_path / "all.h5", "--quiet") == 0
+    data, out = fill(tmp_path / "shards", range(3)), tmp_path / "out"
+    out.mkdir()
+    assert run("export", data, form, out / name if form == "--hdf5" else out, "--quiet") == 0
     assert "3 garments of train" in capsys.readouterr().out
-    assert len(Hdf5Garments(tmp_path / "all.h5")) == 3
-    assert run("export", tmp_path / "shards", "--hdf5", tmp_path / "all.h5", "--split", "test", "--quiet") == 1
-    assert "split test: choose from train" in capsys.readouterr().err
-
-
-def test_plain_tars(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    fill(tmp_path / "shards", range(3))
-    assert run("export", tmp_path / "shards", "--plain", tmp_path / "plain", "--quiet") == 0
-    assert "plain: 3 garments of train" in capsys.readouterr().out
-    assert [path.name for path in (tmp_path / "plain").iterdir()] == ["train-00000.tar"]
+    assert [path.name for path in out.iterdir()] == [name]
+    assert form == "--plain" or len(Hdf5Garments(out / name)) == 3
 
 
 def test_a_full_disk_ends_an_export_to_hdf5(tmp_path: Path) -> None:
@@ -361,20 +341,6 @@ def test_an_export_does_not_replace_its_source(tmp_path: Path, name: str, capsys
     assert run("export", tmp_path, "--hdf5", tmp_path / "all.h5", "--quiet") == 0
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        [],
-        ["--hdf5", "a.h5", "--layout", "published", "out"],
-        ["--layout", "paper", "out"],
-        ["--layout", "published", "out", "--split", "test"],
-    ],
-)
-def test_export_takes_one_format(tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("export", tmp_path, *words) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 def test_every_kind_of_file_is_written(published: Path) -> None:
     names = {path.name for path in file_of(published, TRAIN[0], "spec").parent.iterdir()}
     assert names == {TRAIN[0] + ending for ending in ENDINGS.values()}
@@ -386,6 +352,7 @@ def test_every_kind_of_file_is_written(published: Path) -> None:
     ("design", "main", "styles"),
     [
         ({"meta": {"upper": None, "bottom": "Pants"}, "pants": {"length": 0.9}}, "pants", ["maxi"]),
+        ({"meta": {"upper": "Cape"}, "sleeve": {"sleeveless": True}}, "upper_garment", ["sleeveless"]),
         ({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"length": {"v": 0.4}}}, "skirt", ["knee_len"]),
         ({"meta": {"upper": "FittedShirt"}, "sleeve": {"sleeveless": True}}, "upper_garment", ["sleeveless"]),
         (

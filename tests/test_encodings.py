@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, curve_length, sample_curve
@@ -18,7 +18,6 @@ from gcd_dataset.encodings.rows import Scaling, arc_through, middle_of, pair_edg
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.metrics import score_pattern
 from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern
 
@@ -93,7 +92,7 @@ def assert_same(found: Pattern, pattern: Pattern, tolerance: float = 1e-6) -> No
 
 @pytest.fixture(scope="module")
 def sampled() -> list[Pattern]:
-    return [make(11, index, CONFIG).pattern for index in range(12)]
+    return [make(11, index, CONFIG).pattern for index in range(6)]
 
 
 @pytest.mark.parametrize("name", ENCODINGS)
@@ -113,13 +112,6 @@ def test_real_patterns_survive(name: str, examples: Path) -> None:
         # SewingLDM stores the radius of a nearly straight arc as 950 cm.
         tolerance = 0.05 if name == "sewingldm" else 1e-6
         assert_same(encoding.again(true), in_slots(true) if name == "sewingldm" else true, tolerance)
-
-
-@pytest.mark.parametrize("name", ["sewformer_7", "aipparel", "sewingldm"])
-def test_what_holds_all_curves_scores_perfectly(name: str, sampled: list[Pattern]) -> None:
-    for pattern in sampled[:4]:
-        score = score_pattern(ENCODINGS[name].again(pattern), pattern)
-        assert (score.iou, score.stitch_f1, score.topology_exact) == pytest.approx((1.0, 1.0, 1.0), abs=1e-6)
 
 
 # --------------------------------------------------------------------------------------------------------- small cases
@@ -146,7 +138,6 @@ curves = st.one_of(
 
 
 @given(curve=curves)
-@settings(max_examples=20)
 @pytest.mark.parametrize("name", ENCODINGS)
 def test_any_curve_survives_or_keeps_its_ends_and_middle(name: str, curve: Curve) -> None:
     pattern = pair(curve)

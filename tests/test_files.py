@@ -1,7 +1,8 @@
-"""Files are written atomically, by any number of writers."""
+"""Files are written atomically by any number of writers; JSON, YAML and TOML from outside are refused in one line."""
 
 import errno
 import fcntl
+import json
 import os
 import socket
 import subprocess
@@ -9,9 +10,14 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
-from gcd_dataset.errors import OutputError, SpecError
+from gcd_dataset.errors import BodyError, ConfigError, OutputError, ShardError, SpecError
 from gcd_dataset.files import DRAFTS, make_folder, open_whole, read_whole, write_whole
+from gcd_dataset.jsonfile import DEEPEST, found, parse_json, read_json, read_toml
+from gcd_dataset.yamlfile import require_shallow, strict_yaml
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -31,17 +37,6 @@ def test_a_write_that_fails_half_way_leaves_the_old_file(tmp_path: Path) -> None
         file.write(b"half")
         raise KeyboardInterrupt
     assert path.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_two_may_write_one_file_at_once(tmp_path: Path) -> None:
-    """Threads of one process, or processes with the same pid in two containers."""
-    path = tmp_path / "a.bin"
-    with open_whole(path) as file:
-        file.write(b"one")
-        write_whole(path, b"another")
-        assert path.read_bytes() == b"another"
-    assert path.read_bytes() == b"one"
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -110,30 +105,16 @@ def test_a_link_in_the_place_of_a_draft_is_not_followed(tmp_path: Path) -> None:
     assert (tmp_path / "victim").read_bytes() == b"a user's own"
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(OutputError, match=r"nowhere/a\.bin: cannot be written \(No such file or directory\)"):
-        write_whole(tmp_path / "nowhere" / "a.bin", b"")
-    with pytest.raises(OutputError, match=r"file/sub: cannot be written"):
-        make_folder(tmp_path / "file" / "sub")
+REMEDIES = {
+    "make room there, or choose another folder": (errno.ENOSPC, errno.EDQUOT),
+    "choose a folder that you may write to": (errno.EACCES, errno.EPERM, errno.EROFS),
+    "choose another name": (errno.EEXIST, errno.EISDIR, errno.ENOTDIR, errno.ENAMETOOLONG),
+    "make its folder first": (errno.ENOENT,),
+    "choose another folder": (errno.EIO,),
+}
 
 
-@pytest.mark.parametrize(
-    ("code", "remedy"),
-    [
-        (errno.ENOSPC, "make room there, or choose another folder"),
-        (errno.EDQUOT, "make room there, or choose another folder"),
-        (errno.EACCES, "choose a folder that you may write to"),
-        (errno.EPERM, "choose a folder that you may write to"),
-        (errno.EROFS, "choose a folder that you may write to"),
-        (errno.EEXIST, "choose another name"),
-        (errno.EISDIR, "choose another name"),
-        (errno.ENOTDIR, "choose another name"),
-        (errno.ENAMETOOLONG, "choose another name"),
-        (errno.ENOENT, "make its folder first"),
-        (errno.EIO, "choose another folder"),
-    ],
-)
+@pytest.mark.parametrize(("code", "remedy"), [(code, remedy) for remedy, codes in REMEDIES.items() for code in codes])
 def test_the_remedy_is_that_of_the_reason(
     code: int, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,3 +172,162 @@ def test_what_is_no_regular_file_is_refused_and_never_waited_for(
                 SpecError, match=rf"{name}: cannot be read \({kind}, not a file\): give the path of a mesh"
             ):
                 read_whole(name, "mesh", limit=9, error=SpecError)
+
+
+BROKEN: dict[str, str | bytes] = {
+    "deep": "[" * 100_000 + "]" * 100_000,
+    "deep and open": '{"a":' * 100_000,
+    "one level too deep": "[" * (DEEPEST + 1) + "]" * (DEEPEST + 1),
+    "digits": "9" * 5000,
+    "nan": "[NaN]",
+    "infinity": '{"a": -Infinity}',
+    "overflow": "1e400",
+    "key twice": '{"front": 1, "back": 2, "front": 3}',
+    "half a pair": r'"\ud800"',
+    "key twice among many": "{" + ",".join(f'"k{number}": 0' for number in range(50_000)) + ',"z": 0, "z": 1}',
+    "no JSON": "{",
+    "nothing": "",
+    "latin": b'"\xe9"',
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_broken_json_is_one_line_with_source_and_remedy(case: str) -> None:
+    with pytest.raises(ShardError) as caught:
+        parse_json(BROKEN[case], source="member spec.json", remedy="copy it again", error=ShardError)
+    text = str(caught.value)
+    assert text.startswith("member spec.json: ")
+    assert "\n" not in text and len(text) < 200
+    assert text.endswith("copy it again")
+
+
+scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
+values = st.recursive(scalars, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner))
+
+
+@given(values)
+def test_written_values_are_read_back(value: object) -> None:
+    text = json.dumps(value)
+    assert parse_json(text, source="x") == value
+    assert parse_json(memoryview(text.encode()), source="x") == value
+
+
+def test_brackets_in_strings_are_no_levels() -> None:
+    assert parse_json(json.dumps(["[" * 100]), source="x") == ["[" * 100]
+    assert parse_json("[" * DEEPEST + "]" * DEEPEST, source="x")
+
+
+def test_more_than_the_limit_is_refused_before_it_is_parsed(tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match="9 bytes, more than 8"):
+        parse_json(b"[1,2,3,4]", source="x", limit=8)
+    (tmp_path / "sparse.json").touch()
+    with (tmp_path / "sparse.json").open("rb+") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(BodyError, match=r"sparse\.json: more than 32 MB: give the path of a segmentation"):
+        read_json(tmp_path / "sparse.json", "segmentation", error=BodyError)
+
+
+def test_a_byte_order_mark_is_skipped(tmp_path: Path) -> None:
+    assert parse_json(b"\xef\xbb\xbf[1]", source="x") == [1]
+    assert strict_yaml(b"\xef\xbb\xbfa: 1") == {"a": 1}
+    (tmp_path / "c.toml").write_bytes(b"\xef\xbb\xbfa = 1")
+    assert read_toml(tmp_path / "c.toml") == {"a": 1}
+
+
+KINDS: dict[str, tuple[str | bytes, str]] = {
+    "a.svg": ('<?xml version="1.0"?>\n<!-- x -->\n<svg xmlns="x"/>', "an SVG drawing"),
+    "svg.json": ("\ufeff<svg/>", "an SVG drawing"),
+    "a.dxf": ("999\nby hand\n  0\r\nSECTION\r\n  2\r\n", "a DXF drawing"),
+    "a.val": ('<?xml version="1.0"?>\n<!--x-->\n<pattern><version/></pattern>', "a file of Valentina or Seamly2D"),
+    "a.sm2d": ("damaged", "a file of Valentina or Seamly2D"),
+    "a.zprj": (b"PK\x03\x04\x14", "a file of CLO or Marvelous Designer"),
+    "zip.json": (b"PK\x03\x04\x14", "an archive, not a map: unpack it"),
+    "a.obj": ("# by hand\no Cube\nv 1 2 3\n", "a mesh, not a map: if it is a body, give it as --body"),
+    "a.pdf": ("%PDF-1.7", "a PDF"),
+    "a.jpg": (b"\xff\xd8\xff\xe0", "a picture"),
+    "page.json": ("\n<!DOCTYPE html>\n<svg>", "a web page, perhaps the error of a server, not a map: download"),
+    "lfs.json": (
+        "version https://git-lfs.github.com/spec/v1\noid",
+        "a pointer of Git LFS, not a map: get the file itself",
+    ),
+    "utf16.json": ("[1]".encode("utf-16"), "text in UTF-16, not a map: save it as UTF-8"),
+    "design.yaml": ("meta: {upper: Shirt}", "YAML"),
+    "empty.json": (b"", "empty"),
+    "large.obj": (b"v 1 2 3\n" * 5_000_000, "a mesh"),
+    "json.svg": ('{"a": ', "line 1, column 7: Expecting value: correct the JSON"),
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_files_of_other_kinds_are_named_by_content_first(name: str, tmp_path: Path) -> None:
+    content, said = KINDS[name]
+    (tmp_path / name).write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(SpecError) as caught:
+        read_json(tmp_path / name, "map")
+    assert str(caught.value).startswith(f"{tmp_path / name}: {said}")
+
+
+def test_a_path_that_no_system_takes_is_reported() -> None:
+    with pytest.raises(SpecError, match="names no file"):
+        read_json(Path("a\0b"), "specification JSON")
+
+
+def test_an_odd_value_is_shown_short() -> None:
+    deep: list[object] = []
+    for _ in range(100_000):
+        deep = [deep]
+    assert found(deep) == "a list"
+    assert len(found(10**5000)) < 60
+    assert found(None) == "nothing"
+
+
+@pytest.mark.parametrize("content", [b"[" * 100_000, b"{a: " * 50_000, b"- " * 50_000, b"? " * 50_000], ids=repr)
+def test_deep_nesting_is_refused(content: bytes) -> None:
+    with pytest.raises(RecursionError, match="levels deep"):
+        require_shallow(content)
+
+
+def test_a_repeated_key_is_named_among_many() -> None:
+    keys = "".join(f"k{number}: 0\n" for number in range(5_000))
+    with pytest.raises(yaml.MarkedYAMLError, match="a repeated key: remove one of the entries") as caught:
+        strict_yaml(f"{keys}z: 0\nz: 1\n")
+    assert caught.value.problem_mark is not None and caught.value.problem_mark.line == 5_000
+
+
+def test_a_page_of_lists_is_read() -> None:
+    page = yaml.safe_dump({"labels": {name: list(range(3000)) for name in "abc"}, "ranges": [[1, [2]]] * 2000})
+    require_shallow(page.encode())
+    assert strict_yaml(page)["labels"]["b"][-1] == 2999
+
+
+BROKEN_TOML = {
+    "points = " + "9" * 5000: "Exceeds the limit (4300 digits) for integer string conversion",
+    "points = 0x" + "f" * 100 + "g": "correct the TOML",
+    "a = " + "[" * 100_000: "nested too deep: flatten the TOML",
+    "a = 1\na = 2": "Cannot overwrite a value",
+    "a = 2026-13-45": "correct the TOML",
+    "= 1": "Invalid statement (at line 1, column 1): correct the TOML",
+    ".".join("a" * 50_000) + " = 1": "nested too deep: flatten the TOML",
+    ".".join("a" * 100) + " = 1": "nested too deep: flatten the TOML",
+    "# much\n" * 200_000: "more than 1 MB: give the path of a TOML file",
+}
+
+
+@pytest.mark.parametrize("text", BROKEN_TOML, ids=lambda text: text[:12])
+def test_broken_toml_is_one_line_with_file_and_remedy(text: str, tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        read_toml(tmp_path / "c.toml")
+    assert str(caught.value).startswith(f"{tmp_path / 'c.toml'}: ")
+    assert BROKEN_TOML[text] in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_other_encodings_and_places_are_reported(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_bytes(b'a = "\xe9"')
+    with pytest.raises(ConfigError, match=r"c\.toml: byte 5 is not valid UTF-8: correct the TOML"):
+        read_toml(tmp_path / "c.toml")
+    with pytest.raises(ConfigError, match=r"no\.toml: no such file: give the path of a TOML file"):
+        read_toml(tmp_path / "no.toml")
+    with pytest.raises(ConfigError, match=r"cannot be read \(Is a directory\)"):
+        read_toml(tmp_path)

@@ -151,33 +151,6 @@ def test_the_last_panel_of_real_garments_is_missing(examples: Path) -> None:
     assert np.mean(found) == pytest.approx(0.85, abs=0.005)  # as computed by other code from the same files
 
 
-def test_a_missing_panel_is_punished() -> None:
-    whole = garment()
-    less = replace(whole, panels=whole.panels[:2], seams=whole.seams[:2])
-    score = score_pattern(less, whole)
-    assert (score.panel_count_acc, score.edge_count_acc, score.iou) == pytest.approx((0, 2 / 3, 2 / 3))
-    assert (score.stitch_p, score.stitch_r, score.stitch_f1) == pytest.approx((1, 2 / 3, 0.8))
-    assert score.panel_l2 == pytest.approx(0, abs=1e-9)
-    assert 3 < score.panel_l2_pen < 10  # the missing sleeve's mean radius, about 17 cm, over three panels
-
-
-def test_a_panel_too_many_is_punished() -> None:
-    whole = garment()
-    extra = replace(whole.panels[0], name="extra")
-    score = score_pattern(replace(whole, panels=(*whole.panels, extra)), whole)
-    assert (score.panel_count_acc, score.iou) == pytest.approx((0, 3 / 4))
-
-
-def test_panels_of_unlike_outline_are_wrong() -> None:
-    """A quarter is cut off one of three panels: two right, three predicted, three true."""
-    whole = garment()
-    corners = whole.panels[1].vertices * [1.0, 0.75]
-    score = score_pattern(
-        replace(whole, panels=(whole.panels[0], replace(whole.panels[1], vertices=corners), whole.panels[2])), whole
-    )
-    assert (score.panel_f1, score.panel_count_acc, score.topology_exact) == pytest.approx((2 / 3, 1, 1))
-
-
 def test_a_shift_of_3_cm_is_3_cm() -> None:
     step = 3 * np.array([2.0, -1.0, 2.0]) / 3
 
@@ -199,20 +172,6 @@ def test_a_turn_of_10_degrees_is_10_degrees() -> None:
     assert score_pattern(each(turned)(garment()), garment()).rot_deg == pytest.approx(10.0)
 
 
-def test_two_overlapping_squares() -> None:
-    """A square and its upper half, centroid on centroid: one half overlaps."""
-    whole = Pattern("p", (panel("p", [(0, 0), (20, 0), (20, 20), (0, 20)], (0, 0, 0)),), ())
-    half = Pattern("p", (panel("p", [(0, 0), (20, 0), (20, 10), (0, 10)], (0, 0, 0)),), ())
-    assert score_pattern(half, whole).iou == pytest.approx(0.5)
-
-
-def test_the_distance_of_a_square_and_a_larger_one() -> None:
-    """Every point of the outline moves by 10 % of its radius; the mean radius of a square of side 2 is 1.1478."""
-    small, large = (Pattern("p", (panel("p", [(0, 0), (a, 0), (a, a), (0, a)], (0, 0, 0)),), ()) for a in (20.0, 22.0))
-    mean_radius = (np.sqrt(2) + np.arcsinh(1)) / 2
-    assert score_pattern(large, small).panel_l2 == pytest.approx(mean_radius, rel=1e-3)
-
-
 def test_an_edge_cut_in_two_changes_the_edge_count_alone() -> None:
     straight = replace(
         garment(),
@@ -221,26 +180,6 @@ def test_an_edge_cut_in_two_changes_the_edge_count_alone() -> None:
     )
     score = score_pattern(split(straight, "front"), straight)
     assert_close(score, replace(PERFECT, edge_count_acc=2 / 3, topology_exact=0))
-
-
-def test_a_seam_that_is_not_there_costs_precision() -> None:
-    whole = garment()
-    wrong = (*whole.seams, Seam(EdgeRef("front", 2), EdgeRef("sleeve", 0)))
-    score = score_pattern(replace(whole, seams=wrong), whole)
-    assert (score.stitch_p, score.stitch_r) == pytest.approx((3 / 4, 1))
-
-
-def test_a_missing_seam_is_not_exact() -> None:
-    whole = garment()
-    score = score_pattern(replace(whole, seams=whole.seams[1:]), whole)
-    assert (score.garment_perfect, score.topology_exact, score.panel_f1) == (0, 0, 1)
-    assert score_pattern(replace(whole, seams=()), whole).seam_mismatch == 1
-
-
-def test_seam_mismatch_of_gathers() -> None:
-    """40 cm sewn to 30 cm, and 20 cm to 20 cm: (1/4 + 0) / 2."""
-    pair = rectangles(40.0, 30.0, seams=((0, 0), (1, 1)))
-    assert score_pattern(pair, pair).seam_mismatch == pytest.approx(0.125)
 
 
 # ---------------------------------------------------------------------------------------------------------- n:m seams
@@ -292,24 +231,55 @@ def test_subdividing_the_edges_of_a_seam_keeps_the_seam_by_length(change: str) -
         assert (score.stitch_f1 < 1, score.topology_exact) == (True, 0)
 
 
-def test_gathered_seams_are_subdivided_in_proportion() -> None:
-    whole = rectangles(60.0, 30.0)
-    assert score_pattern(subdivided(whole, 0, 0.25), whole).stitch_nm_f1 == pytest.approx(1)
+def square(width: float, height: float) -> Pattern:
+    return Pattern("p", (panel("p", [(0, 0), (width, 0), (width, height), (0, height)], (0, 0, 0)),), ())
 
 
-def test_recall_by_length() -> None:
-    """Of a seam of 30 cm, the first third is predicted, and nothing else."""
-    whole = rectangles(30.0, 30.0)
-    parts = subdivided(whole, 0, 1 / 3)
-    score = score_pattern(replace(parts, seams=parts.seams[:1]), whole)
-    assert (score.stitch_nm_p, score.stitch_nm_r, score.stitch_nm_f1) == pytest.approx((1, 1 / 3, 1 / 2))
+G, PAIR, GATHERED = garment(), rectangles(30.0, 30.0), rectangles(40.0, 30.0, seams=((0, 0), (1, 1)))
+THIRD = subdivided(PAIR, 0, 1 / 3)
+LOW = replace(G.panels[1], vertices=G.panels[1].vertices * [1.0, 0.75])
+NOWHERE = Seam(EdgeRef("front", 9), EdgeRef("nobody", 0))
+SCORES: list[tuple[Pattern, Pattern, dict[str, float]]] = [
+    # A panel is missing, one is too many, a quarter is cut off one.
+    (replace(G, panels=G.panels[:2], seams=G.seams[:2]), G,
+        {"panel_count_acc": 0, "edge_count_acc": 2 / 3, "iou": 2 / 3, "panel_l2": 0, "stitch_p": 1, "stitch_r": 2 / 3,
+         "stitch_f1": 0.8}),
+    (replace(G, panels=(*G.panels, replace(G.panels[0], name="extra"))), G, {"panel_count_acc": 0, "iou": 3 / 4}),
+    (replace(G, panels=(G.panels[0], LOW, G.panels[2])), G,
+        {"panel_f1": 2 / 3, "panel_count_acc": 1, "topology_exact": 1}),
+    # A seam is not there; one is missing; all are.
+    (replace(G, seams=(*G.seams, Seam(EdgeRef("front", 2), EdgeRef("sleeve", 0)))), G,
+        {"stitch_p": 3 / 4, "stitch_r": 1}),
+    (replace(G, seams=G.seams[1:]), G, {"garment_perfect": 0, "topology_exact": 0, "panel_f1": 1}),
+    (replace(G, seams=()), G, {"seam_mismatch": 1}),
+    # 40 cm are sewn to 30 cm, and 20 cm to 20 cm: (1/4 + 0) / 2.
+    (GATHERED, GATHERED, {"seam_mismatch": 0.125}),
+    # A square and its upper half, centroid on centroid; a bow tie in it.
+    (square(20, 10), square(20, 20), {"iou": 0.5}),
+    (Pattern("p", (panel("p", [(0, 0), (20, 20), (20, 0), (0, 20)], (0, 0, 0)),), ()), square(20, 20),
+        {"valid": 0, "iou": 0.5}),
+    # Every point of the outline moves by 10 % of its radius; the mean radius of a square of side 2 is 1.1478.
+    (square(22, 22), square(20, 20), {"panel_l2": (np.sqrt(2) + np.arcsinh(1)) / 2}),
+    # By length: the first third of a seam alone; a wrong seam of 20 cm beside one of 30; a twisted one; to no edge.
+    (replace(THIRD, seams=THIRD.seams[:1]), PAIR, {"stitch_nm_p": 1, "stitch_nm_r": 1 / 3, "stitch_nm_f1": 1 / 2}),
+    (rectangles(30.0, 30.0, seams=((0, 0), (1, 1))), PAIR, {"stitch_nm_p": 3 / 5, "stitch_nm_r": 1}),
+    (replace(PAIR, seams=(replace(PAIR.seams[0], right_wrong=True),)), PAIR, {"stitch_f1": 1, "stitch_nm_f1": 0}),
+    (replace(PAIR, seams=(*PAIR.seams, NOWHERE)), PAIR,
+        {"stitch_p": 1 / 2, "stitch_nm_p": 1 / 2, "seam_mismatch": 1 / 2}),
+    # Gathered seams are subdivided in proportion.
+    (subdivided(rectangles(60.0, 30.0), 0, 0.25), rectangles(60.0, 30.0), {"stitch_nm_f1": 1}),
+]  # fmt: skip
 
 
-def test_precision_by_length() -> None:
-    """Seams of 30 and 20 cm; the second is wrong."""
-    whole = rectangles(30.0, 30.0, seams=((0, 0),))
-    score = score_pattern(rectangles(30.0, 30.0, seams=((0, 0), (1, 1))), whole)
-    assert (score.stitch_nm_p, score.stitch_nm_r) == pytest.approx((3 / 5, 1))
+@pytest.mark.parametrize(("predicted", "true", "expected"), SCORES)
+def test_scores_by_hand(predicted: Pattern, true: Pattern, expected: dict[str, float]) -> None:
+    score = asdict(score_pattern(predicted, true))
+    assert {name: score[name] for name in expected} == pytest.approx(expected, rel=1e-3, abs=1e-9)
+
+
+def test_the_penalty_of_a_missing_panel_is_its_mean_radius_over_all_panels() -> None:
+    """About 17 cm over three panels."""
+    assert 3 < score_pattern(replace(G, panels=G.panels[:2], seams=G.seams[:2]), G).panel_l2_pen < 10
 
 
 def test_an_edge_sewn_to_two_edges_equals_its_parts_sewn_to_one_each() -> None:
@@ -320,20 +290,6 @@ def test_an_edge_sewn_to_two_edges_equals_its_parts_sewn_to_one_each() -> None:
     for order in (seams, seams[::-1]):
         score = score_pattern(Pattern("n:m", (front, whole.panels[1]), order), whole)
         assert score.stitch_nm_f1 == pytest.approx(1)
-
-
-def test_a_twisted_seam_is_wrong_by_length() -> None:
-    whole = rectangles(30.0, 30.0)
-    twisted = replace(whole, seams=(replace(whole.seams[0], right_wrong=True),))
-    score = score_pattern(twisted, whole)
-    assert (score.stitch_f1, score.stitch_nm_f1) == (1, 0)
-
-
-def test_seams_to_missing_edges_cost_precision_by_length() -> None:
-    whole = rectangles(30.0, 30.0)
-    wrong = replace(whole, seams=(*whole.seams, Seam(EdgeRef("front", 9), EdgeRef("nobody", 0))))
-    score = score_pattern(wrong, whole)
-    assert (score.stitch_p, score.stitch_nm_p, score.seam_mismatch) == pytest.approx((1 / 2, 1 / 2, 1 / 2))
 
 
 @pytest.mark.parametrize("noise", [0.3, 1.0])
@@ -387,7 +343,7 @@ def distorted(pattern: Pattern, rng: np.random.Generator) -> Pattern:
     return Pattern("distorted", tuple(panels), tuple(seams * one_of(1, 1, 2)))
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(20))
 def test_no_distortion_is_worse_than_a_failure(seed: int) -> None:
     """Shares stay within 0 and 1, and all scores are finite."""
     rng = np.random.default_rng(seed)
@@ -424,14 +380,6 @@ def test_a_prediction_that_cannot_be_drawn_gets_the_worst() -> None:
         assert score.panel_l2 == score.panel_l2_pen > 10
 
 
-def test_an_outline_that_crosses_itself_is_not_valid() -> None:
-    bow = Pattern("p", (panel("p", [(0, 0), (20, 20), (20, 0), (0, 20)], (0, 0, 0)),), ())
-    square = Pattern("p", (panel("p", [(0, 0), (20, 0), (20, 20), (0, 20)], (0, 0, 0)),), ())
-    score = score_pattern(bow, square)
-    assert score.valid == 0
-    assert score.iou == pytest.approx(0.5)
-
-
 def test_means_include_every_garment() -> None:
     whole = garment()
     scores = [score_pattern(whole, whole), score_pattern(Pattern("empty", (), ()), whole)]
@@ -446,10 +394,10 @@ def test_the_bootstrap_covers_the_true_mean() -> None:
     """95 % of the intervals of 200 test sets of 60 garments hold the mean of the distribution, 0.3."""
     rng = np.random.default_rng(1)
     held = 0
-    for _ in range(200):
+    for _ in range(100):
         low, high = bootstrap_means((rng.random((60, 1)) < 0.3).astype(float), rng, draws=200)
         held += bool(low[0] <= 0.3 <= high[0])
-    assert 0.89 < held / 200 < 0.99
+    assert 0.88 < held / 100 <= 0.99
 
 
 def test_resampled_points_are_equally_spaced() -> None:

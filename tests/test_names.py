@@ -53,7 +53,7 @@ HOSTILE = {
     "back to front": "a\u202egnp.b",
 }
 hostile = pytest.mark.parametrize("name", HOSTILE.values(), ids=HOSTILE.keys())
-FEW = ("through parents", "absolute", "NUL", "hidden")  # where each name takes a data set or a server
+FEW = ("through parents", "NUL", "hidden")  # where each name takes a data set or a server
 few_hostile = pytest.mark.parametrize("name", [HOSTILE[name] for name in FEW], ids=FEW)
 
 
@@ -89,7 +89,7 @@ def hub() -> Iterator[Hub]:
 @cache
 def garment() -> Sample:
     """A generated garment whose drape is faked: the vertices are the start positions."""
-    made = make(3, 0, MakeConfig(stage="mesh", resolution=4.0, points=16))
+    made = make(3, 0, MakeConfig(stage="mesh", resolution=8.0, points=16))
     assert made.box_mesh is not None
     moved = made.box_mesh.vertices + 1e-3 * (1 + made.box_mesh.vertices[:, :1])
     return replace(made, drape=Drape(moved, Outcome.SETTLED, 100, 0, 0, 1.0, 1.1))
@@ -221,10 +221,8 @@ def test_the_place_of_a_garment_that_came_from_a_release(name: str) -> None:
             assert require_name(component, "here") == component
 
 
-@pytest.mark.parametrize("part", [1, 2, 3])
-def test_where_a_garment_came_from(victims: Path, part: int) -> None:
-    source = ["GarmentCodeData_v2", "garments_5000_0", "default_body", "rand_ABCDEFGHIJ"]
-    source[part] = ".."
+def test_where_a_garment_came_from(victims: Path) -> None:
+    source = ["GarmentCodeData_v2", "..", "default_body", "rand_ABCDEFGHIJ"]
     sample = replace(garment(), provenance=replace(garment().provenance, source="/".join(source)))
     with ShardWriter(victims / "data", seed=3, recipe=recipe_of(MakeConfig(stage="mesh"))) as writer:
         writer.write(sample)
@@ -254,9 +252,8 @@ def test_a_place_in_a_release(victims: Path, name: str) -> None:
         draft.holds(Path("batch", "data", *parts))
 
 
-@few_hostile
-def test_file_names_of_gcd_drape_are_safe(victims: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    sample = garment()
+def test_file_names_of_gcd_drape_are_safe(victims: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sample, name = garment(), HOSTILE["through parents"]
     assert sample.box_mesh is not None
     assert sample.drape is not None
     monkeypatch.setattr(fitting, "render_garment", lambda *_, **__: 2 * (np.zeros((8, 8, 3), np.uint8),))
@@ -270,7 +267,7 @@ def test_file_names_of_gcd_drape_are_safe(victims: Path, monkeypatch: pytest.Mon
 PIECES = ["piece_1", "piece_2", "前", "后", "", "👗", "A", "a", "á", "a_9", "a 9", "x" * 20, "x" * 21]
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_plain_names_are_ascii_and_different_in_any_order(seed: int) -> None:
     """Also where a name is the number that another one would get."""
     names = np.random.default_rng(seed).permutation(PIECES).tolist()

@@ -4,6 +4,8 @@ import errno
 import json
 import os
 from dataclasses import replace
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, curve_points
-from gcd_dataset.errors import OutputError, SpecError
+from gcd_dataset.errors import SpecError
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import (
     euler_angles,
@@ -92,11 +94,6 @@ def test_panel_order_is_that_of_the_reference(examples: Path) -> None:
     for path in sorted((examples / "patterns").glob("*/default_body/*_specification.json")):
         written = json.loads(path.read_text())["pattern"]["panel_order"]
         assert list(panel_order(read_pattern(path).panels)) == written
-
-
-def test_panels_are_ordered_from_right_to_left_and_back_to_front() -> None:
-    panels = [square("left", x=40.0), square("front", z=12.0), square("back", z=-12.0), square("right", x=-40.0)]
-    assert panel_order(panels) == ("right", "back", "front", "left")
 
 
 def test_metres_become_centimetres() -> None:
@@ -193,84 +190,58 @@ def nested(levels: int) -> list[Any]:
     return inner
 
 
-def broken(change: str) -> Any:
-    spec: Any = parsed(tube())
-    front = spec["pattern"]["panels"]["front"]
-    match change:
-        case "no panels":
-            del spec["pattern"]["panels"]
-        case "text for a number":
-            front["vertices"][1] = ["20", 0]
-        case "two numbers for three":
-            front["translation"] = [0, 0]
-        case "unknown curve":
-            front["edges"][0]["curvature"]["type"] = "spline"
-        case "one control point for two":
-            front["edges"][1]["curvature"]["params"] = [[0, 0]]
-        case "endpoint":
-            front["edges"][2]["endpoints"] = [2]
-        case "half a vertex":
-            front["edges"][2]["endpoints"] = [2.5, 3]
-        case "stitch word":
-            spec["pattern"]["stitches"][1][2] = "wrong_right"
-        case "order":
-            spec["pattern"]["panel_order"] = ["front", "side"]
-        case "units":
-            spec["properties"]["units_in_meter"] = 0
-        case "no pattern":
-            spec = {"asset": {"version": "2.0"}, "nodes": []}
-        case "list":
-            spec = []
-        case "list for a kind":
-            front["edges"][0]["curvature"]["type"] = ["q"]
-        case "400 digits":
-            front["vertices"][1] = [10**400, 0]
-        case "400 digits of a vertex":
-            front["edges"][0]["endpoints"] = [0, 10**400]
-        case "no length at all":
-            front["translation"] = [0, 1e300, 0]
-        case "tiny unit":
-            spec["properties"]["units_in_meter"] = 1e-300
-        case "nested":
-            spec["parameters"] = nested(100)
-        case "nested vertex":
-            front["vertices"][1] = nested(900)
-        case "broken name":
-            spec["pattern"]["panels"]["two\nlines"] = {}
-    return spec
+BROKEN: dict[tuple[str | int, ...], list[tuple[Any, str]]] = {
+    (): [
+        ({"asset": {}, "nodes": []}, "no object named pattern, only asset, nodes: give a specification JSON"),
+        ([], "the file must be a JSON object, found []"),
+    ],
+    ("pattern", "panels"): [(None, "pattern.panels must be a JSON object, found nothing")],
+    ("pattern", "stitches", 1, 2): [
+        ("wrong_right", 'stitch 1: the third word of a stitch is right_wrong, found "wrong_right"')
+    ],
+    ("pattern", "panel_order"): [
+        (["front", "side"], "panel_order must name each of the 2 panels once: look at back, side")
+    ],
+    ("properties", "units_in_meter"): [(0, "units_in_meter is 0"), (1e-300, "units_in_meter is 1e-300")],
+    ("parameters",): [(nested(100), "more than 64 levels deep: flatten it")],
+    ("pattern", "panels", "two\nlines"): [({}, r"panel 'two\nlines': vertices")],
+    ("front", "vertices", 1): [
+        (["20", 0], 'panel front: vertex 1 must be 2 numbers, found ["20", 0]'),
+        ([10**400, 0], "panel front: vertex 1 must be 2 numbers of at most 1e+12, found [1000000"),
+        (nested(900), "more than 64 levels deep: flatten it"),
+    ],
+    ("front", "translation"): [
+        ([0, 0], "panel front: translation must be 3 numbers"),
+        ([0, 1e300, 0], "panel front: translation must be 3 numbers of at most 1e+12, found [0, 1e+300, 0]"),
+    ],
+    ("front", "edges", 0, "endpoints"): [
+        ([0, 10**400], "panel front, edge 0: endpoint must be a whole number of at most 1e+12, found 1000000")
+    ],
+    ("front", "edges", 2, "endpoints"): [
+        ([2], "panel front, edge 2: endpoints must be two vertex numbers"),
+        ([2.5, 3], "panel front, edge 2: endpoint must be a whole number, found 2.5"),
+    ],
+    ("front", "edges", 0, "curvature", "type"): [
+        ("spline", "panel front, edge 0: curvature type 'spline'"),
+        (["q"], 'panel front, edge 0: curvature type must be a string, found ["q"]'),
+    ],
+    ("front", "edges", 1, "curvature", "params"): [
+        ([[0, 0]], "panel front, edge 1: a cubic curvature has 2 params, found 1")
+    ],
+}
+"""Place in the file to values that are no content of the format, each with the error; ``front`` is a panel."""
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ("no panels", "pattern.panels must be a JSON object, found nothing"),
-        ("text for a number", 'panel front: vertex 1 must be 2 numbers, found ["20", 0]'),
-        ("two numbers for three", "panel front: translation must be 3 numbers"),
-        ("unknown curve", "panel front, edge 0: curvature type 'spline'"),
-        ("one control point for two", "panel front, edge 1: a cubic curvature has 2 params, found 1"),
-        ("endpoint", "panel front, edge 2: endpoints must be two vertex numbers"),
-        ("half a vertex", "panel front, edge 2: endpoint must be a whole number, found 2.5"),
-        ("no pattern", "no object named pattern, only asset, nodes: give a specification JSON"),
-        ("stitch word", 'stitch 1: the third word of a stitch is right_wrong, found "wrong_right"'),
-        ("order", "panel_order must name each of the 2 panels once: look at back, side"),
-        ("units", "units_in_meter is 0"),
-        ("list", "the file must be a JSON object, found []"),
-        ("list for a kind", 'panel front, edge 0: curvature type must be a string, found ["q"]'),
-        ("400 digits", "panel front: vertex 1 must be 2 numbers of at most 1e+12, found [1000000"),
-        (
-            "400 digits of a vertex",
-            "panel front, edge 0: endpoint must be a whole number of at most 1e+12, found 1000000",
-        ),
-        ("no length at all", "panel front: translation must be 3 numbers of at most 1e+12, found [0, 1e+300, 0]"),
-        ("tiny unit", "units_in_meter is 1e-300"),
-        ("nested", "more than 64 levels deep: flatten it"),
-        ("nested vertex", "more than 64 levels deep: flatten it"),
-        ("broken name", r"panel 'two\nlines': vertices"),
-    ],
+    ("place", "value", "said"), [(place, *case) for place, cases in BROKEN.items() for case in cases]
 )
-def test_content_outside_the_format_is_named(change: str, said: str) -> None:
+def test_content_outside_the_format_is_named(place: tuple[str | int, ...], value: Any, said: str) -> None:
+    spec: Any = parsed(tube())
+    if place:
+        *above, last = place if place[0] != "front" else ("pattern", "panels", *place)
+        reduce(getitem, above, spec)[last] = value
     with pytest.raises(SpecError) as caught:
-        pattern_from_spec(broken(change), "tube", source="some/tube.json")
+        pattern_from_spec(spec if place else value, "tube", source="some/tube.json")
     assert str(caught.value).startswith("some/tube.json: ")
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -280,15 +251,6 @@ def test_broken_json_is_named_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "half.json"
     path.write_text('{"pattern": {\n"panels": ')
     with pytest.raises(SpecError, match=r"half\.json: line 2, column"):
-        read_pattern(path)
-    path.write_text('{"pattern": NaN}')
-    with pytest.raises(SpecError, match="NaN is not a number"):
-        read_pattern(path)
-    path.write_text(f'{{"pattern": {"9" * 5000}}}')
-    with pytest.raises(SpecError, match="correct the JSON"):
-        read_pattern(path)
-    path.write_text('{"pattern": ' + 100_000 * "[" + 100_000 * "]" + "}")
-    with pytest.raises(SpecError, match=r"half\.json: more than 64 levels deep: correct the JSON"):
         read_pattern(path)
 
 
@@ -307,12 +269,6 @@ def test_a_file_that_cannot_be_read_is_named_with_a_remedy(tmp_path: Path, monke
     monkeypatch.setattr(Path, "open", forbidden)  # tests may run as root, which can read everything
     with pytest.raises(SpecError, match=r"cannot be read \(Permission denied\): ask for the right to read it"):
         read_pattern(tmp_path / "mine.json")
-
-
-def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="cannot be written"):
-        write_pattern(tube(), tmp_path / "no folder" / "tube.json")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_of_megabytes_is_refused_before_it_is_parsed(tmp_path: Path) -> None:

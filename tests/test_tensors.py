@@ -1,4 +1,4 @@
-"""Patterns as arrays: a pattern survives encoding and decoding."""
+"""Patterns as arrays survive encoding and decoding; their hash differs between patterns and agrees between machines."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, sample_curve
 from gcd_dataset.errors import PatternError
+from gcd_dataset.patternhash import STEP, PatternHash, hash_pattern
 from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern
 from gcd_dataset.tensors import (
@@ -23,6 +24,7 @@ from gcd_dataset.tensors import (
     decode_pattern,
     encode_pattern,
 )
+from tests.helpers import napkins
 
 LOSSLESS = 1e-4  # cm
 
@@ -123,19 +125,13 @@ def test_corners_may_be_numbered_otherwise_than_the_loop() -> None:
     assert again(Pattern("p", (panel,), ())).panels == (panel,)
 
 
-def test_centroid_of_a_half_disc() -> None:
+def test_centroids_of_a_half_disc_a_triangle_and_a_strip_without_area() -> None:
     """4 r / 3 π from the straight side."""
     corners = np.array([[-6.0, 0.0], [6.0, 0.0]])
     disc = loop("half", corners, [LINE, Arc(6.0, large=False, right=True)])
     assert np.allclose(area_centroid(disc), [0.0, 4 * 6 / (3 * np.pi)], atol=1e-9)
-
-
-def test_centroid_of_a_triangle_is_that_of_its_corners() -> None:
     corners = np.array([[1.0, 2.0], [7.0, 3.0], [4.0, 11.0]])
     assert np.allclose(area_centroid(loop("t", corners, [LINE] * 3)), corners.mean(axis=0))
-
-
-def test_centroid_of_a_strip_without_area_is_that_of_its_corners() -> None:
     corners = np.array([[0.0, 0.0], [4.0, 0.0], [8.0, 0.0]])
     assert np.allclose(area_centroid(loop("t", corners, [LINE] * 3)), [4.0, 0.0])
 
@@ -225,3 +221,95 @@ def test_labels_come_back_as_roles_and_other_texts_as_they_are() -> None:
     assert [edge.label for edge in read.edges if isinstance(edge.label, EdgeRole)] == [EdgeRole.LEFT_COLLAR]
     assert EdgeRole.LEFT_COLLAR.mirrored is EdgeRole.RIGHT_COLLAR
     assert EdgeRole.STRAPLESS_TOP.mirrored is EdgeRole.STRAPLESS_TOP
+
+
+NAPKINS = encode_pattern(napkins())
+
+
+def changed(array: str, row: int, column: int, by: float) -> PatternTensor:
+    """The napkins with ``by`` added to one entry."""
+    moved = getattr(NAPKINS, array).copy()
+    moved[row, column] += by
+    return replace(NAPKINS, **{array: moved})
+
+
+def hash_text(*patterns: PatternTensor) -> str:
+    return PatternHash.of(enumerate(patterns)).text
+
+
+PANEL_COLUMNS = (PanelColumn.X, PanelColumn.QUATERNION_X, PanelColumn.CENTROID_Y, PanelColumn.LABEL)
+EDGE_COLUMNS = (EdgeColumn.START_X, EdgeColumn.KIND, EdgeColumn.CONTROL0_X, EdgeColumn.RIGHT)
+
+
+def test_another_panel_edge_stitch_name_or_index_is_another_pattern() -> None:
+    for column in PANEL_COLUMNS:
+        assert hash_text(changed("panels", 1, column, 1.0)) != hash_text(NAPKINS)
+    for edge in EDGE_COLUMNS:
+        assert hash_text(changed("edges", 2, edge, 1.0)) != hash_text(NAPKINS)
+    assert hash_text(changed("stitches", 0, 2, 1)) != hash_text(NAPKINS)
+    assert hash_text(replace(NAPKINS, panel_names=("one", "three"))) != hash_text(NAPKINS)
+    assert hash_pattern(1, NAPKINS).text != hash_pattern(0, NAPKINS).text
+
+
+def test_the_last_digits_do_not_matter_nor_the_sign_of_nothing() -> None:
+    assert hash_text(changed("edges", 1, EdgeColumn.START_X, 2e-11)) == hash_text(NAPKINS)
+    assert hash_text(changed("edges", 0, EdgeColumn.CONTROL0_X, -0.0)) == hash_text(NAPKINS)
+    assert hash_text(changed("edges", 0, EdgeColumn.CONTROL0_X, -2e-11)) == hash_text(NAPKINS)
+
+
+def test_half_a_turn_is_one_rotation() -> None:
+    """For a rotation by 180 degrees W is 0 up to rounding, so its sign is arbitrary."""
+    panels = NAPKINS.panels.copy()
+    panels[0, PanelColumn.QUATERNION_W : PanelColumn.QUATERNION_Z + 1] = [6e-17, 0.0, 1.0, 0.0]
+    other = panels.copy()
+    other[0, PanelColumn.QUATERNION_W : PanelColumn.QUATERNION_Z + 1] = [6e-17, 0.0, -1.0, 0.0]
+    assert hash_text(replace(NAPKINS, panels=panels)) == hash_text(replace(NAPKINS, panels=other))
+
+
+def test_angles_and_radii_do_not_count() -> None:
+    """At 90 degrees about y only the sum of the angles about x and z is determined (gimbal lock)."""
+    assert hash_text(changed("panels", 0, PanelColumn.ANGLE_X, 0.5)) == hash_text(NAPKINS)
+    assert hash_text(changed("edges", 0, EdgeColumn.RADIUS, 10.0)) == hash_text(NAPKINS)
+
+
+def test_the_order_does_not_matter() -> None:
+    parts = [hash_pattern(index, NAPKINS) for index in range(5)]
+    assert sum(parts, PatternHash()).text == sum(parts[::-1], PatternHash()).text == hash_text(*[NAPKINS] * 5)
+    assert sum(parts, PatternHash()).count == 5
+
+
+def test_a_number_between_two_steps_may_be_rounded_either_way() -> None:
+    """The coordinates of two machines differ by 2e-12 cm, across a rounding tie."""
+    place = 0.5 * STEP - NAPKINS.edges[1, EdgeColumn.START_X] % STEP
+    below = changed("edges", 1, EdgeColumn.START_X, place - 1e-12)
+    above = changed("edges", 1, EdgeColumn.START_X, place + 1e-12)
+    one, other = (PatternHash.of([(0, NAPKINS), (1, moved)]) for moved in (below, above))
+    assert one.text != other.text
+    assert one.agrees(other.text)
+    assert other.agrees(one.text)
+    assert not one.agrees(hash_text(NAPKINS, changed("edges", 1, EdgeColumn.START_X, 1e-3)))
+
+
+def test_two_patterns_and_mirrored_numbers_may_be_rounded_otherwise() -> None:
+    """Mirrored panels hold a coordinate with both signs; another machine rounds both the other way."""
+
+    def napkins_at(offset: float) -> PatternTensor:
+        edges = NAPKINS.edges.copy()
+        for row, sign in ((1, 1), (5, -1)):
+            edges[row, EdgeColumn.START_X] = sign * (10.0 + 0.5 * STEP + offset)
+        return replace(NAPKINS, edges=edges)
+
+    one, other = (PatternHash.of(enumerate([napkins_at(offset)] * 2)) for offset in (-1e-12, 1e-12))
+    assert one.text != other.text
+    assert one.agrees(other.text)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e300])
+def test_numbers_that_cannot_be_rounded_are_rejected(wrong: float) -> None:
+    with pytest.raises(PatternError, match="a number is NaN"):
+        hash_pattern(0, changed("edges", 0, EdgeColumn.START_X, wrong))
+
+
+def test_no_hash_agrees_with_a_text_that_is_no_hash() -> None:
+    assert not hash_pattern(0, NAPKINS).agrees("")
+    assert not hash_pattern(0, NAPKINS).agrees("not a hash")

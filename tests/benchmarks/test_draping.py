@@ -16,7 +16,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.records import Drape, Outcome
 from gcd_dataset.spec import write_pattern
-from tests.generator.dressing import test_openings as openings
+from tests.generator.dressing import test_dressing as openings
 from tests.helpers import SIZE, far_ball, joined, patch
 
 

@@ -1,20 +1,37 @@
-"""Give each reader many damaged inputs: ``python -m tests.fuzz.campaign --examples 10000 --report FILE``."""
+"""Give each reader many damaged inputs: ``python -m tests.fuzz.campaign --examples 10000 --report FILE``.
+
+Inputs go one by one to a child process, with limits on time and memory for each.
+"""
 
 import argparse
+import os
+import pickle
 import random
+import resource
+import select
+import signal
 import tempfile
-from collections.abc import Callable, Container, Iterator, Sequence
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
-
-from hypothesis import HealthCheck, Phase, given, settings
+from typing import Any
 
 from benchmarks.cases.figures import Measured
 from benchmarks.report import report_text
-from tests.fuzz.expensive import EXPENSIVE, expensive
-from tests.fuzz.readers import DOCUMENTS, READERS, Reader, damaged, edited_documents
-from tests.fuzz.trial import Tally, Verdict, try_all
+from gcd_dataset.errors import GcdError
+from tests.fuzz.inputs import EXPENSIVE, edited, expensive, mutated
+from tests.fuzz.readers import DOCUMENTS, READERS, Reader
 
+SECONDS = 10.0  # s: limit on reading one input; long, since other programs share the cores
+MEGABYTES = 1024  # MB: limit on the address space that reading one input may add
 EXPENSIVE_SHARE = 20  # an expensive input takes as long to read as this number of damaged ones
+FAULTS = ("crash", "hang", "memory", "silent")
+VERDICTS = ("read", "refused", *FAULTS)
 
 ABOUT = """
 Readers of files from outside, each given damaged files and documents: `make fuzz N=10000`. A file is damaged by one to
@@ -24,35 +41,29 @@ accepted input was read as the original; otherwise it counts as `silent`. Limits
 """
 
 
-def try_files(name: str, reader: Reader, count: int) -> Tally:
-    """The tally of a reader on ``count`` damaged files."""
-    return try_all(reader.read, damaged(reader, name, count), expected=reader.expected())
+@dataclass
+class Tally:
+    """The verdicts on many inputs."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    faults: list[str] = field(default_factory=list)
+    """For each input that was neither read nor refused: its number, verdict and cause, as one line."""
 
 
-def try_expensive(name: str, reader: Reader, count: int) -> Tally:
-    """The tally of a reader on ``count`` expensive inputs."""
-    inputs = (expensive(name, reader.content, random.Random(f"{name}:{number}")) for number in range(count))
-    return try_all(reader.read, inputs, expected=None)
+def tallies(name: str, reader: Reader, count: int, *, costly: int = 0) -> Iterator[tuple[str, Tally]]:
+    """Kind of inputs to the tally of a reader on them: damaged bytes, edited documents, expensive inputs."""
 
+    def inputs(make: Callable[[random.Random], bytes], count: int) -> Iterable[bytes]:
+        return [make(random.Random(f"{name}:{number}")) for number in range(count)]
 
-def try_documents(name: str, reader: Reader, count: int) -> Tally:
-    """The tally of a reader on ``count`` edited documents; fewer if Hypothesis finds no more distinct ones."""
-    contents: list[bytes] = []
-
-    @settings(
-        max_examples=count,
-        database=None,
-        derandomize=True,
-        phases=[Phase.generate],
-        suppress_health_check=list(HealthCheck),
-        deadline=None,
-    )
-    @given(edited_documents(reader, name))
-    def collect(content: bytes) -> None:
-        contents.append(content)
-
-    collect()
-    return try_all(reader.read, contents, expected=reader.expected())
+    expected = reader.read(reader.content) if reader.protected else None
+    yield "bytes", try_all(reader.read, inputs(lambda chance: mutated(reader.content, chance), count), expected)
+    if name in DOCUMENTS:
+        document = DOCUMENTS[name](reader.content)
+        yield "documents", try_all(reader.read, inputs(lambda chance: edited(document, chance), count), expected)
+    if costly and name in EXPENSIVE:
+        made = inputs(lambda chance: expensive(name, reader.content, chance), costly)
+        yield "expensive", try_all(reader.read, made, None)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -63,11 +74,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the table as Markdown, too")
     options = parser.parse_args(arguments)
     rows, faults = [], []
-    for kind, name, tally in _tallies(options.readers or list(READERS), options.examples):
-        row = {"reader": name, "inputs": kind, "tried": tally.tried} | {v.value: tally.counts[v] for v in Verdict}
-        rows.append(row)
-        faults += [f"{name}, {kind}: {fault}" for fault in tally.faults]
-        print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+    for name in options.readers or READERS:
+        with tempfile.TemporaryDirectory() as folder:
+            few = max(options.examples // EXPENSIVE_SHARE, 1)
+            for kind, tally in tallies(name, READERS[name](Path(folder)), options.examples, costly=few):
+                row = {"reader": name, "inputs": kind, "tried": tally.counts.total()}
+                rows.append(row | {verdict: tally.counts[verdict] for verdict in VERDICTS})
+                faults += [f"{name}, {kind}: {fault}" for fault in tally.faults]
+                print("  ".join(f"{key} {value}" for key, value in rows[-1].items()), flush=True)
     print("\n".join(faults[:200]))
     if options.report:
         command = ["tests.fuzz.campaign", "--examples", str(options.examples)]
@@ -75,19 +89,103 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if faults else 0
 
 
-def _tallies(names: Sequence[str], count: int) -> Iterator[tuple[str, str, Tally]]:
-    few = max(count // EXPENSIVE_SHARE, 1)
-    trials: dict[str, tuple[Callable[[str, Reader, int], Tally], Container[str], int]] = {
-        "bytes": (try_files, READERS, count),
-        "documents": (try_documents, DOCUMENTS, count),
-        "expensive": (try_expensive, EXPENSIVE, few),
-    }
-    for name in names:
-        with tempfile.TemporaryDirectory() as folder:
-            reader = READERS[name](Path(folder))
-            for kind, (trial, readers, tried) in trials.items():
-                if name in readers:
-                    yield kind, name, trial(name, reader, tried)
+# -------------------------------------------------------------------------------------------------------------- trials
+
+
+class _HangError(BaseException):
+    """Raised by the timer; as a ``BaseException`` it passes the ``except Exception`` of a reader."""
+
+
+def try_all(read: Callable[[bytes], Any], inputs: Iterable[bytes], expected: object) -> Tally:
+    """Give each input to ``read``. With ``expected``, an input that reads as anything else is ``silent``.
+
+    A child process reads, so that a crash or a hang of compiled code is a verdict too; the next input then goes to a
+    new child.
+    """
+    tally, waiting = Tally(), list(inputs)
+    while (first := tally.counts.total()) < len(waiting):
+        for number, (verdict, cause) in enumerate(_by_child(read, waiting[first:], expected), first):
+            tally.counts[verdict] += 1
+            if verdict in FAULTS:
+                tally.faults.append(f"input {number}: {verdict}: {cause}")
+    return tally
+
+
+def _by_child(read: Callable[[bytes], Any], inputs: list[bytes], expected: object) -> Iterator[tuple[str, str]]:
+    """The verdicts on the inputs, up to the one that kills the child."""
+    ours, theirs = get_context("fork").Pipe(duplex=False)
+    child = os.fork()
+    if not child:
+        _read_all(read, inputs, expected, theirs)
+    theirs.close()
+    try:
+        for _ in inputs:
+            if not select.select([ours], [], [], 3 * SECONDS)[0]:
+                yield "hang", f"no answer for {3 * SECONDS:.0f} s, in compiled code"
+                return
+            try:
+                answer = ours.recv()
+            except EOFError:
+                yield "crash", "the process died"
+                return
+            yield answer
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        ours.close()
+
+
+def _read_all(read: Callable[[bytes], Any], inputs: list[bytes], expected: object, answers: Connection) -> None:
+    """In the child: read the inputs, send the verdicts, exit."""
+    try:
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        signal.signal(signal.SIGALRM, _time_is_up)
+        for content in inputs:
+            answers.send(_judged(read, content, expected))
+    finally:
+        os._exit(0)
+
+
+def _judged(read: Callable[[bytes], Any], content: bytes, expected: object) -> tuple[str, str]:
+    try:
+        with _limited():
+            found = read(content)
+    except GcdError as error:
+        text = str(error)
+        return ("refused", "") if text and "\n" not in text else ("crash", f"message: {text!r}")
+    except MemoryError as error:
+        return "memory", _cause(error)
+    except _HangError as error:
+        return "hang", _cause(error)
+    except BaseException as error:  # noqa: BLE001 -- any other exception is a crash
+        return "crash", _cause(error)
+    if expected is not None and pickle.dumps(found) != pickle.dumps(expected):
+        return "silent", "read as other values"
+    return "read", ""
+
+
+def _cause(error: BaseException) -> str:
+    places = [f for f in traceback.extract_tb(error.__traceback__) if "site-packages" not in f.filename]
+    where = f"{places[-1].filename}:{places[-1].lineno}" if places else "?"
+    return f"{type(error).__name__}: {str(error)[:120]!r} at {where}"
+
+
+@contextmanager
+def _limited() -> Iterator[None]:
+    with open("/proc/self/statm") as file:  # noqa: PTH123
+        size = int(file.read().split()[0]) * resource.getpagesize()
+    hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+    resource.setrlimit(resource.RLIMIT_AS, (size + MEGABYTES * 2**20, hard))
+    signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+
+
+def _time_is_up(*_: object) -> None:
+    raise _HangError(f"over {SECONDS:.0f} s")
 
 
 if __name__ == "__main__":

@@ -4,13 +4,12 @@ import contextlib
 import io
 import json
 import os
-import random
 import shutil
 import tarfile
 import tempfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -18,9 +17,9 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import torch
+import trimesh
 import yaml
 import zstandard
-from hypothesis.strategies import SearchStrategy
 from webdataset.tariterators import tar_file_iterator
 
 from gcd_dataset import generate_people
@@ -30,10 +29,13 @@ from gcd_dataset.exports.published import export_published, exported_splits
 from gcd_dataset.faults import check_pattern, require_valid
 from gcd_dataset.generator.body import named_body, read_body
 from gcd_dataset.generator.body.landmarks import read_landmarks
+from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.dressing import dress
 from gcd_dataset.generator.garments.design import read_design
 from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.jsonfile import JsonPath, parse_json, read_toml
 from gcd_dataset.loaders import (
     BodyDataset,
@@ -42,7 +44,8 @@ from gcd_dataset.loaders import (
     Hdf5Garments,
     PublishedGarmentCodeData,
 )
-from gcd_dataset.shards import ShardReader
+from gcd_dataset.records import Drape, Outcome, Sample
+from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.codec import decode_field, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import FIELDS
@@ -51,9 +54,6 @@ from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from gcd_dataset.viewer.design_desk import Desk, controls
 from gcd_dataset.viewer.garments import spec_album
 from gcd_dataset.viewer.server import Gallery, ShownDesign
-from tests.fuzz.documents import edited, json_bytes
-from tests.fuzz.mutation import mutated
-from tests.fuzz.workshop import garments, small_body, write_shards
 from tests.release.published import pack
 
 
@@ -68,14 +68,15 @@ class Reader:
     protected: bool
     """Whether checksums cover the file: changed content is refused, or reads as the original."""
 
-    def expected(self) -> object:
-        """The result for the undamaged file, which damage must not change; ``None`` without checksums."""
-        return self.read(self.content) if self.protected else None
 
+def _file(path: Path, content: bytes, read: Callable[[], Any], *, protected: bool = False) -> Reader:
+    """A reader of one file: its content is replaced by the input."""
 
-def damaged(reader: Reader, name: str, count: int) -> Iterator[bytes]:
-    """``count`` damaged copies of the file, the same in every run."""
-    return (mutated(reader.content, random.Random(f"{name}:{number}")) for number in range(count))
+    def replaced(data: bytes) -> Any:
+        path.write_bytes(data)
+        return read()
+
+    return Reader(content, replaced, protected)
 
 
 def _plain(value: Any) -> Any:
@@ -87,6 +88,41 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _plain(inner) for key, inner in value.items()}
     return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+# ------------------------------------------------------------------------------------------------------------ garments
+
+CONFIG = MakeConfig(stage="mesh", resolution=8.0, points=64)
+COUNT = 2
+
+
+@cache
+def garments() -> tuple[Sample, ...]:
+    """Garments of the sampler with the box mesh as drape; draping would take minutes."""
+    return tuple(_with_drape(make(3, index, CONFIG)) for index in range(COUNT))
+
+
+def write_shards(folder: Path, *, count: int = COUNT) -> Path:
+    """The first garments as a data set of one shard."""
+    with ShardWriter(folder, seed=3, recipe=recipe_of(replace(CONFIG, stage="drape", device="cpu"))) as writer:
+        for sample in garments()[:count]:
+            writer.write(sample)
+    return folder
+
+
+def small_body() -> trimesh.Trimesh:
+    """A closed shape of a person's height, of few triangles [cm]."""
+    shape = trimesh.creation.capsule(height=130.0, radius=20.0, count=[8, 8])
+    shape.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
+    shape.apply_translation([0.0, -shape.vertices[:, 1].min(), 0.0])
+    return shape
+
+
+def _with_drape(sample: Sample) -> Sample:
+    assert sample.box_mesh is not None
+    picture = jpeg_bytes(np.full((16, 16, 3), 90 + sample.provenance.index, np.uint8))
+    drape = Drape(sample.box_mesh.vertices, Outcome.SETTLED, 100, 3, 0, 1.0, 1.1)
+    return replace(sample, drape=drape, front=picture, back=picture)
 
 
 # -------------------------------------------------------------------------------------------------------------- shards
@@ -119,32 +155,22 @@ def _shards(folder: Path, name: str, *, streaming: bool = False, together: bool 
 SHARD, VIEWS, INDEX, MANIFEST = "train-00000.tar", "views/train-00000.tar", "train.index", "manifest.json"
 
 
+def _items(dataset: Any) -> list[Any]:
+    return [_plain(dataset[index]) for index in range(len(dataset))]
+
+
 def _hdf5(folder: Path) -> Reader:
     """An HDF5 file, whose checksums only ``verify`` compares."""
     path = folder / "train.h5"
     for _ in write_hdf5(ShardReader(write_shards(folder / "shards")), path):
         pass
-    content = path.read_bytes()
-
-    def read(data: bytes) -> Any:
-        path.write_bytes(data)
-        dataset = Hdf5Garments(path)
-        return [_plain(dataset[index]) for index in range(len(dataset))]
-
-    return Reader(content, read, protected=False)
+    return _file(path, path.read_bytes(), lambda: _items(Hdf5Garments(path)))
 
 
 def _people(folder: Path) -> Reader:
     generate_people(folder, 2, workers=0)
     path = folder / SHARD
-    content = path.read_bytes()
-
-    def read(data: bytes) -> Any:
-        path.write_bytes(data)
-        dataset = BodyDataset(folder)
-        return [_plain(dataset[index]) for index in range(len(dataset))]
-
-    return Reader(content, read, protected=True)
+    return _file(path, path.read_bytes(), lambda: _items(BodyDataset(folder)), protected=True)
 
 
 def _member(_: Path, field: str) -> Reader:
@@ -217,17 +243,16 @@ def _state(folder: Path) -> Reader:
 # ----------------------------------------------------------------------------------------------------------- published
 
 
-def _published(folder: Path, ending: str) -> Reader:
-    """An extracted release with one file replaced."""
-    root = _release(folder)
+def _published(folder: Path, ending: str, *, packed: bool = False) -> Reader:
+    """A release with one file replaced, extracted or ``packed``."""
+    root = pack(_release(folder)) if packed else _release(folder)
     path = next(path for path in sorted(root.rglob("*")) if path.name.endswith(ending))
-    return Reader(path.read_bytes(), partial(_read_release, root, path), protected=False)
 
+    def read() -> Any:
+        shutil.rmtree(folder / "kept", ignore_errors=True)
+        return _items(PublishedGarmentCodeData(root, cache_dir=folder / "kept"))
 
-def _archive(folder: Path) -> Reader:
-    root = pack(_release(folder))
-    path = next(iter(sorted(root.rglob("data.tar.gz"))))
-    return Reader(path.read_bytes(), partial(_read_release, root, path), protected=False)
+    return _file(path, path.read_bytes(), read)
 
 
 def _release(folder: Path) -> Path:
@@ -248,46 +273,29 @@ def _release_files() -> Mapping[Path, bytes]:
         return {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
-def _read_release(root: Path, path: Path, data: bytes) -> Any:
-    path.write_bytes(data)
-    shutil.rmtree(root.parent / "kept", ignore_errors=True)
-    dataset = PublishedGarmentCodeData(root, cache_dir=root.parent / "kept")
-    return [_plain(dataset[index]) for index in range(len(dataset))]
-
-
 # ------------------------------------------------------------------------------------------------- patterns and bodies
 
 
 def _specification(folder: Path) -> Reader:
     path = folder / "garment_specification.json"
-
-    def read(data: bytes) -> Any:
-        path.write_bytes(data)
-        return [str(fault) for fault in check_pattern(read_pattern(path))]
-
-    return Reader(json.dumps(spec_from_pattern(garments()[0].pattern)).encode(), read, protected=False)
+    content = json.dumps(spec_from_pattern(garments()[0].pattern)).encode()
+    return _file(path, content, lambda: [str(fault) for fault in check_pattern(read_pattern(path))])
 
 
 def _mesh(folder: Path) -> Reader:
     """A specification that is draped: checked, placed on a body and triangulated."""
     path, (body, size, _) = folder / "garment_specification.json", named_body("neutral")
 
-    def read(data: bytes) -> Any:
-        path.write_bytes(data)
+    def read() -> Any:
         pattern = dress(require_valid(read_pattern(path)), body, size).pattern
         return len(build_box_mesh(pattern, spacing=1.0).vertices)
 
-    return Reader(json.dumps(spec_from_pattern(garments()[0].pattern)).encode(), read, protected=False)
+    return _file(path, _specification(folder).content, read)
 
 
 def _design(folder: Path) -> Reader:
     path = folder / "design_params.yaml"
-
-    def read(data: bytes) -> Any:
-        path.write_bytes(data)
-        return str(read_design(path))
-
-    return Reader(yaml.safe_dump({"design": garments()[0].design}).encode(), read, protected=False)
+    return _file(path, yaml.safe_dump({"design": garments()[0].design}).encode(), lambda: str(read_design(path)))
 
 
 def _drawing(_: Path) -> Reader:
@@ -327,12 +335,7 @@ def _config(folder: Path) -> Reader:
         '[design.sleeve]\nlength = { range = [0.7, 1.1], keep = 0.5 }\n[design.collar.component]\nstyle = "Turtle"\n'
     )
 
-    def read(data: bytes) -> Any:
-        path.write_bytes(data)
-        table = read_toml(path)
-        return Overlay.from_dict(table.get("design", {})).to_dict()
-
-    return Reader(content.encode(), read, protected=False)
+    return _file(path, content.encode(), lambda: Overlay.from_dict(read_toml(path).get("design", {})).to_dict())
 
 
 def _body(folder: Path, changed: str) -> Reader:
@@ -354,25 +357,20 @@ def _body(folder: Path, changed: str) -> Reader:
         (folder / name).write_bytes(content)
     mesh = folder / (changed if changed.startswith("body") else "body.obj")
 
-    def read(data: bytes) -> Any:
-        (folder / changed).write_bytes(data)
+    def read() -> Any:
         body, size = read_body(mesh, folder / "measures.yaml", folder / "parts.json")
         if not (np.isfinite(body.vertices).all() and 0 <= body.faces.min() <= body.faces.max() < len(body.vertices)):
             raise ValueError("a body with vertex ids out of range, or positions that are not finite")
         return size.to_file_values()
 
-    return Reader(files[changed], read, protected=False)
+    return _file(folder / changed, files[changed], read)
 
 
 def _landmarks(folder: Path) -> Reader:
     path, vertices = folder / "marks.json", np.asarray(small_body().vertices)
     content = {"shoulder_right": 5, "waist": [7, [0.0, 90.0, 20.0]], "bust": [1, 2, 3]}
 
-    def read(data: bytes) -> Any:
-        path.write_bytes(data)
-        return _plain(read_landmarks(path, vertices).rings)
-
-    return Reader(json.dumps(content).encode(), read, protected=False)
+    return _file(path, json.dumps(content).encode(), lambda: _plain(read_landmarks(path, vertices).rings))
 
 
 READERS: dict[str, Callable[[Path], Reader]] = {
@@ -399,7 +397,7 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "sample-faces": partial(_sample, field="faces"),
     "checked-tar": _checked_tar,
     "loader-state": _state,
-    "release-archive": _archive,
+    "release-archive": partial(_published, ending="data.tar.gz", packed=True),
     "release-specification": partial(_published, ending="_specification.json"),
     "release-measures": partial(_published, ending="_body_measurements.yaml"),
     "release-design": partial(_published, ending="_design_params.yaml"),
@@ -430,26 +428,11 @@ READERS: dict[str, Callable[[Path], Reader]] = {
 
 
 DOCUMENTS: dict[str, Callable[[bytes], Any]] = {
-    **dict.fromkeys(
-        (
-            "specification",
-            "manifest",
-            "loader-state",
-            "body-parts",
-            "release-split",
-            "member-meta",
-            "sample-meta",
-            "sample-measures",
-            "landmarks",
-            "viewer-design",
-        ),
-        json.loads,
-    ),
-    **dict.fromkeys(("measurements", "design", "release-design", "release-labels"), yaml.safe_load),
+    name: yaml.safe_load if name in ("measurements", "design", "release-design", "release-labels") else json.loads
+    for name in (
+        *("specification", "manifest", "loader-state", "body-parts", "release-split", "member-meta", "sample-meta"),
+        *("sample-measures", "landmarks", "viewer-design"),
+        *("measurements", "design", "release-design", "release-labels"),
+    )
 }
 """Readers of documents, with the parser of each document: its tree is edited in addition to its bytes."""
-
-
-def edited_documents(reader: Reader, name: str) -> SearchStrategy[bytes]:
-    """The reader's file with some branches changed, as JSON: YAML parsers read it too."""
-    return edited(DOCUMENTS[name](reader.content)).map(json_bytes)

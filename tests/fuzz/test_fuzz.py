@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.fuzz.campaign import try_documents, try_files
-from tests.fuzz.readers import DOCUMENTS, READERS
+from tests.fuzz.campaign import tallies
+from tests.fuzz.readers import READERS
 
 EXAMPLES = 2
 
@@ -16,8 +16,6 @@ EXAMPLES = 2
 @pytest.mark.parametrize("name", READERS)
 def test_damaged_inputs_read_unchanged_or_are_refused(name: str, tmp_path: Path) -> None:
     """Bytes, and branches of documents. Without a checksum, a damaged file may also read as other valid values."""
-    reader = READERS[name](tmp_path)
-    for trial in (try_files, try_documents) if name in DOCUMENTS else (try_files,):
-        tally = trial(name, reader, EXAMPLES)
-        assert tally.tried == EXAMPLES
+    for _, tally in tallies(name, READERS[name](tmp_path), EXAMPLES):
+        assert tally.counts.total() == EXAMPLES
         assert not tally.faults, "\n".join(tally.faults[:10])

@@ -276,7 +276,3 @@ def test_gcd_show_writes_the_drawing(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert svg.read_bytes() == pattern_svg(read_pattern(spec))
     assert png.stat().st_size > 1000
     assert capsys.readouterr().out.split() == [str(png), str(svg)]
-    assert main(["show", str(spec), "--svg", str(png)]) == 2
-    assert "the file is SVG, so end the name in .svg" in capsys.readouterr().err
-    assert main(["show", "--svg", str(svg)]) == 2
-    assert "give either a DATASET or SPEC, or --design" in capsys.readouterr().err

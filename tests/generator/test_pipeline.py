@@ -1,9 +1,12 @@
-"""A sample depends on seed, index and recipe alone."""
+"""A sample depends on seed, index and recipe alone, with any draper and any number of workers."""
 
 import io
 import json
 import re
+import subprocess
+import sys
 from collections import Counter, deque
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Literal, Self
 from unittest.mock import Mock
@@ -16,26 +19,28 @@ from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
+from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.garments import Reject, attempted_design, design_from_dict, garment_tags
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.pipeline import build_pattern, fit
-from gcd_dataset.generator.recipe import MakeConfig, recipe_of
-from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Pattern
+from gcd_dataset.generator.pipeline import build_pattern, fit, sample_key
+from gcd_dataset.generator.recipe import MakeConfig, devices_of, recipe_of
+from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Pattern, Sample
 from gcd_dataset.seeding import Stage, rng
+from gcd_dataset.shards.codec import encode_sample
 
 FLAT = MakeConfig(stage="pattern")
-MESHED = MakeConfig(stage="mesh", resolution=4.0, points=64)
-DRAPED = MakeConfig(resolution=4.0, points=64, picture=48, device="cpu")
+MESHED = MakeConfig(stage="mesh", resolution=8.0, points=64)
+DRAPED = MakeConfig(resolution=8.0, points=64, picture=48, device="cpu")
 
 
 def test_a_sample_is_the_same_alone_and_in_any_order() -> None:
-    in_order = list(produce(5, range(4), MESHED))
-    backwards = list(produce(5, [3, 2, 1, 0], MESHED))
+    in_order = list(produce(5, range(3), MESHED))
+    backwards = list(produce(5, [2, 1, 0], MESHED))
     assert in_order == backwards[::-1]
     assert make(5, 2, MESHED) == in_order[2]
-    assert [sample.provenance.index for sample in in_order] == [0, 1, 2, 3]
+    assert [sample.provenance.index for sample in in_order] == [0, 1, 2]
 
 
 def test_seeds_and_indices_make_different_garments() -> None:
@@ -45,7 +50,7 @@ def test_seeds_and_indices_make_different_garments() -> None:
     assert first.measurements != other.measurements
 
 
-def test_a_stage_leaves_out_the_later_fields() -> None:
+def test_a_stage_leaves_out_the_later_fields_and_holds_gathers_and_tags() -> None:
     flat, meshed = make(5, 0, FLAT), make(5, 0, MESHED)
     assert flat.box_mesh is None
     assert flat.points is None
@@ -54,6 +59,11 @@ def test_a_stage_leaves_out_the_later_fields() -> None:
     assert meshed.pattern == flat.pattern
     assert meshed.points is not None
     assert meshed.points.shape == (64, 6)
+    for config in (FLAT, MESHED):
+        sample = make(5, 0, config)
+        assert sample.gathers == sample.pattern.gather_ratios()
+        assert sample.tags == garment_tags(sample.measurements, design_from_dict(sample.design), sample.pattern)
+        assert sample.tags
 
 
 def test_a_pattern_keeps_the_gathers_of_its_seams() -> None:
@@ -73,14 +83,6 @@ def test_a_pattern_keeps_the_gathers_of_its_seams() -> None:
         elif sides in ("right", "left"):
             assert ratio == pytest.approx(1.0, abs=1e-3)
     assert sum(ratio < 0.7 for ratio in ratios) == 4  # front and back of two levels
-
-
-def test_samples_of_every_stage_hold_gathers_and_tags() -> None:
-    for config in (FLAT, MESHED):
-        sample = make(5, 0, config)
-        assert sample.gathers == sample.pattern.gather_ratios()
-        assert sample.tags == garment_tags(sample.measurements, design_from_dict(sample.design), sample.pattern)
-        assert sample.tags
 
 
 def test_both_bodies_wear_one_design() -> None:
@@ -122,13 +124,6 @@ def test_turned_arms_do_not_change_the_pattern() -> None:
         replace(FLAT, arms=50)
 
 
-@pytest.mark.parametrize("sex", ["female", "male"])
-def test_women_and_men_of_the_population_wear_designs(sex: Literal["female", "male"]) -> None:
-    sample = make(9, 2, replace(FLAT, bodies=sex))
-    assert sample.provenance.body_name == f"{sex}:9:2"
-    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group=sex)))
-
-
 def test_random_wearers_are_women_and_men_named_by_their_sex() -> None:
     samples = [make(9, index, replace(FLAT, bodies="random")) for index in range(6)]
     kinds = {sample.provenance.body_name.partition(":")[0] for sample in samples}
@@ -138,10 +133,11 @@ def test_random_wearers_are_women_and_men_named_by_their_sex() -> None:
     assert woman.measurements == make(9, index, women).measurements
 
 
-def test_the_pool_is_between_the_sexes_and_has_a_name_of_its_own() -> None:
-    sample = make(9, 2, replace(FLAT, bodies="pooled"))
-    assert sample.provenance.body_name == "pooled:9:2"
-    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group="pooled")))
+@pytest.mark.parametrize("group", ["female", "male", "pooled"])
+def test_adults_of_a_group_wear_designs_under_its_name(group: Literal["female", "male", "pooled"]) -> None:
+    sample = make(9, 2, replace(FLAT, bodies=group))
+    assert sample.provenance.body_name == f"{group}:9:2"
+    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group=group)))
 
 
 def test_a_draped_sample_is_complete() -> None:
@@ -225,12 +221,17 @@ def test_after_a_failed_drape_the_upper_and_the_bottom_stay() -> None:
         assert kept.design != again.design
 
 
-def test_a_failed_drape_can_be_kept() -> None:
+def test_a_failed_drape_and_the_last_attempt_can_be_kept() -> None:
     rejects = make(5, 0, FLAT).provenance.rejects
     [sample] = produce(5, [0], replace(DRAPED, picture=0, on_fail="keep"), draper=Failing(1))
     assert sample.drape is not None
     assert sample.drape.outcome is Outcome.NOT_SETTLED
     assert sample.provenance.rejects == rejects
+    # A garment that never settles does not stop a data set.
+    [sample] = produce(5, [7], replace(DRAPED, picture=0, max_attempts=3), draper=Failing(99))
+    assert sample.drape is not None
+    assert sample.drape.outcome is Outcome.NOT_SETTLED
+    assert sample.provenance.attempts == 3
 
 
 def test_another_attempt_does_not_build_the_wearers_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -268,14 +269,6 @@ def test_a_failed_mesh_rejects_the_design_for_both_bodies(monkeypatch: pytest.Mo
     assert "cannot_be_meshed: panel front is nearly a line" in neutral.provenance.rejects
 
 
-def test_a_failed_last_attempt_is_kept() -> None:
-    """A garment that never settles does not stop a data set."""
-    [sample] = produce(5, [7], replace(DRAPED, picture=0, max_attempts=3), draper=Failing(99))
-    assert sample.drape is not None
-    assert sample.drape.outcome is Outcome.NOT_SETTLED
-    assert sample.provenance.attempts == 3
-
-
 def test_the_error_of_an_index_without_a_pattern_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(size: object, design: object, *, name: str) -> Reject:
         return Reject("short_edge", "it is 0.3 cm")
@@ -284,11 +277,6 @@ def test_the_error_of_an_index_without_a_pattern_names_it(monkeypatch: pytest.Mo
     message = "sample 7 of seed 5: 3 designs were rejected, the last for: short_edge: it is 0.3 cm"
     with pytest.raises(PatternError, match=message):
         make(5, 7, replace(FLAT, max_attempts=3))
-
-
-def test_an_index_may_be_requested_twice() -> None:
-    first, second, third = produce(5, [1, 0, 1], FLAT)
-    assert first == third != second
 
 
 @pytest.mark.parametrize(
@@ -313,25 +301,13 @@ def test_options_are_checked(option: str, value: object, expected: str) -> None:
         MakeConfig(**{option: value})  # type: ignore[arg-type]
 
 
-def test_a_recipe_is_the_same_with_2_and_2_0() -> None:
+def test_a_recipe_is_the_same_with_2_and_2_0_and_another_with_a_fabric() -> None:
     assert json.dumps(recipe_of(replace(DRAPED, resolution=2))) == json.dumps(
         recipe_of(replace(DRAPED, resolution=2.0))
     )
     assert recipe_of(DRAPED)["device"] == "cpu"
-
-
-def test_a_fabric_other_than_the_default_is_part_of_the_recipe() -> None:
     assert "fabric" not in recipe_of(DRAPED)  # recipes from before the option keep their hash
     assert recipe_of(replace(DRAPED, fabric="denim"))["fabric"] == "denim"
-
-
-def test_another_fabric_drapes_differently() -> None:
-    skirts = replace(DRAPED, design=only(upper="none", bottom="SkirtCircle"), resolution=5.0, picture=0)
-    usual, limp = (make(5, 0, replace(skirts, fabric=name)) for name in ("default", "gcd_soft"))
-    assert usual.pattern == limp.pattern
-    assert usual.drape is not None
-    assert limp.drape is not None
-    assert not np.array_equal(usual.drape.vertices, limp.drape.vertices)
 
 
 def only(**meta: str) -> Overlay:
@@ -365,3 +341,81 @@ def test_one_design_fits_many_bodies() -> None:
     tall = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.9}})
     with pytest.raises(PatternError, match=r"wearer 0: too_heavy: length 0\.90 .*: change the design, or leave"):
         fit(tall, sizes)
+
+
+BOTH = MakeConfig(stage="pattern", bodies="both")
+COARSE = MakeConfig(stage="mesh", resolution=8.0, points=16, bodies="both")
+
+
+SCRIPT = """
+from gcd_dataset.generator import MakeConfig, produce
+config = MakeConfig(stage="pattern")
+if __name__ == "__main__":
+    print([sample.key for sample in produce(5, range(2), config, workers=2)])
+"""
+
+
+def test_workers_serve_a_script_from_standard_input() -> None:
+    """Which has no file that a spawned worker could import."""
+    finished = subprocess.run([sys.executable, "-"], input=SCRIPT, capture_output=True, text=True, check=False)
+    assert finished.stdout.strip() == str([sample_key(0), sample_key(1)]), finished.stderr
+
+
+def test_workers_and_a_single_process_make_the_same_samples() -> None:
+    """Also where the workers return results of ``finished``, in the order of the indices."""
+    alone = [encode_sample(sample) for sample in produce(5, [4, 0, 1, 5], COARSE)]
+    assert list(produce(5, [4, 0, 1, 5], COARSE, workers=2, finished=encode_sample)) == alone
+
+
+def test_indices_may_be_infinite() -> None:
+    def forever() -> Iterator[int]:
+        while True:
+            yield from (0, 1)
+
+    made = produce(5, forever(), BOTH)
+    first, second, third = next(made), next(made), next(made)
+    assert first == third != second
+
+
+def test_samples_before_a_failure_are_yielded(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(seed: int, number: int, *_: object) -> pipeline.DressedDesign:
+        if number == 2:
+            raise PatternError("sample 4: 3 designs were rejected")
+        return pipeline.prepare(seed, number, BOTH)
+
+    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", never)
+    made: list[Sample] = []
+    with pytest.raises(PatternError, match="sample 4"):
+        made.extend(produce(5, range(6), BOTH, ahead=6))
+    assert [sample.provenance.index for sample in made] == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("name", "devices"),
+    [("cpu", ("cpu",)), ("cuda", ("cuda:0",)), ("cuda:1", ("cuda:1",)), ("cuda:0,1,1", ("cuda:0", "cuda:1"))],
+)
+def test_devices_are_named(name: str, devices: tuple[str, ...]) -> None:
+    assert devices_of(MakeConfig(device=name)) == devices
+
+
+def test_a_failure_waits_for_the_results_before_it() -> None:
+    """The third piece of work fails first, while the first two are pending."""
+    begun: list[DrapeRequest] = []
+
+    def receive() -> DrapeReply:
+        return DrapeReply(begun.pop().number, None, None)  # type: ignore[arg-type]
+
+    backwards = Mock(at_once=4, send=begun.append, poll=lambda: False, receive=receive)
+
+    def piece(number: int) -> Work[int]:
+        def finish(_: Sequence[DrapeReply]) -> int:
+            if number == 2:
+                raise PatternError("piece 2")
+            return number
+
+        return Work([None], finish)  # type: ignore[list-item]
+
+    made: list[int] = []
+    with pytest.raises(PatternError, match="piece 2"):
+        made.extend(in_order(map(piece, range(4)), backwards, ahead=4, at_once=4))
+    assert made == [0, 1]

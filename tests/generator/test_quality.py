@@ -14,24 +14,18 @@ AT_REST = Drape(np.zeros((0, 3)), Outcome.SETTLED, 10, 0, 0, 1.0, 1.1)
 LOOSE = Strain((1.1, 0.9), ((1.1, 0.9),))
 
 
-def test_a_stretched_sheet_has_the_stretches_of_its_axes() -> None:
+def test_principal_stretches_of_a_stretched_a_sheared_and_a_folded_sheet() -> None:
     sheet = patch(5, 5)
     flat = np.asarray(sheet.vertices, float)
     stretches = principal_stretches(sheet, flat * [1.3, 0.8, 1.0])
     assert stretches[:, 0] == pytest.approx(1.3)
     assert stretches[:, 1] == pytest.approx(0.8)
-
-
-def test_shear_stretches_by_the_singular_values() -> None:
-    """[[1, k], [0, 1]] has singular values s and 1/s."""
+    # [[1, k], [0, 1]] has singular values s and 1/s.
     sheet, k = patch(4, 4), 0.5
     flat = np.asarray(sheet.vertices, float)
     stretches = principal_stretches(sheet, np.stack([flat[:, 0] + k * flat[:, 1], flat[:, 1], flat[:, 2]], axis=1))
     expected = np.linalg.svd([[1.0, k], [0.0, 1.0]])[1]
     assert stretches == pytest.approx(np.broadcast_to(expected, stretches.shape))
-
-
-def test_rotation_and_folding_do_not_stretch() -> None:
     sheet = patch(6, 6)
     flat = np.asarray(sheet.vertices, float)
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
@@ -75,17 +69,12 @@ def test_points_of_a_ball_lie_on_it_with_outward_normals() -> None:
     assert (np.einsum("ij,ij->i", points / 10.0, normals) > 0.99).all()
 
 
-def test_points_are_spread_by_area() -> None:
+def test_points_are_spread_by_area_in_any_slice() -> None:
     """A triangle with three times the area of another gets three quarters of the points."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [0, 1, 5]], float)
     faces = np.array([[0, 1, 2], [3, 4, 5]])
     points = sample_surface(vertices, faces, 4000, np.random.default_rng(1))[:, :3]
+    assert abs((points[:400, 2] > 1).mean() - 0.75) < 0.08
     large = points[points[:, 2] > 1]
     assert len(large) == 3000
     assert np.allclose(large.mean(axis=0), [1.0, 1 / 3, 5.0], atol=0.05)  # uniform: the mean is the centroid
-
-
-def test_any_slice_of_the_points_is_spread_like_all_of_them() -> None:
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [0, 1, 5]], float)
-    points = sample_surface(vertices, np.array([[0, 1, 2], [3, 4, 5]]), 4000, np.random.default_rng(1))
-    assert abs((points[:400, 2] > 1).mean() - 0.75) < 0.08

@@ -1,10 +1,13 @@
-"""Bodies and measures in files, and bodies by name."""
+"""Bodies and measures in files of every format, and bodies by name; malformed files give one-line errors."""
 
 import codecs
 import json
 import logging
+import struct
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +15,7 @@ import trimesh
 import yaml
 
 from gcd_dataset.bodyfiles import read_body_parts
-from gcd_dataset.errors import BodyError, ConfigError, OutputError
+from gcd_dataset.errors import BodyError, ConfigError
 from gcd_dataset.generator.body import (
     build_body,
     draw_shape,
@@ -23,7 +26,9 @@ from gcd_dataset.generator.body import (
     read_measurements,
     write_measurements,
 )
-from gcd_dataset.records import ANGLES, MEASURES, BodyPart, Measurements
+from gcd_dataset.generator.body.mesh_bodies import measure_file, read_mesh
+from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, Measurements
+from gcd_dataset.release.meshes import read_obj
 from gcd_dataset.seeding import Stage, rng
 
 SIZE = measure(build_body(neutral_shape()))
@@ -66,13 +71,9 @@ def test_derived_keys_equal_the_references(examples: Path, tmp_path: Path) -> No
     assert yaml.safe_load((tmp_path / "again.yaml").read_text())["body"] == pytest.approx(theirs)
 
 
-@pytest.mark.parametrize("name", ["all", "female", "male"])
-def test_published_mean_bodies(name: str, examples: Path) -> None:
-    folder = examples / "bodies"
-    body, size = read_body(
-        folder / f"mean_{name}.obj", folder / f"mean_{name}.yaml", folder / "ggg_body_segmentation.json"
-    )
-    table = yaml.safe_load((folder / f"mean_{name}.yaml").read_text())["body"]
+def test_a_published_mean_body(examples: Path, published: tuple[Body, Measurements]) -> None:
+    folder, (body, size) = examples / "bodies", published
+    table = yaml.safe_load((folder / "mean_all.yaml").read_text())["body"]
     assert size.to_file_values() == pytest.approx(table, rel=1e-14)
     assert (len(body.vertices), len(body.faces)) == (23752, 47500)
     assert np.ptp(body.vertices[:, 1]) == pytest.approx(table["height"], abs=0.01)
@@ -82,16 +83,12 @@ def test_published_mean_bodies(name: str, examples: Path) -> None:
     assert body.vertices[body.parts == BodyPart.LEFT_ARM.value, 0].mean() > 20.0
 
 
-@pytest.mark.parametrize(("kind", "factor", "unit"), [("ply", 0.01, "metres"), ("obj", 10.0, "millimetres")])
-def test_the_models_mesh_is_recognised(
-    kind: str, factor: float, unit: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    body = build_body(draw_shape(rng(0, 1, Stage.BODY)))
-    path = tmp_path / f"me.{kind}"
-    trimesh.Trimesh(body.vertices * factor, body.faces, process=False).export(path)
+def test_the_models_mesh_is_recognised(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    body, path = build_body(draw_shape(rng(0, 1, Stage.BODY))), tmp_path / "me.ply"
+    trimesh.Trimesh(body.vertices * 0.01, body.faces, process=False).export(path)
     with caplog.at_level(logging.INFO):
         again, size = read_body(path)
-    assert f"taken to be in {unit}" in caplog.text
+    assert "taken to be in metres" in caplog.text
     assert again.vertices == pytest.approx(body.vertices, abs=1e-3)
     assert np.array_equal(again.faces, body.faces)
     assert np.array_equal(again.parts, body.parts)
@@ -99,15 +96,12 @@ def test_the_models_mesh_is_recognised(
     assert again.name == "me"
 
 
-def test_inward_faces_are_flipped(mannequin: dict[str, Path]) -> None:
+def test_inward_faces_are_flipped_and_ids_may_be_whole_floats(mannequin: dict[str, Path]) -> None:
     box = trimesh.load(mannequin["mesh"], process=False)
     trimesh.Trimesh(box.vertices, box.faces[:, ::-1], process=False).export(mannequin["mesh"])
     body, _ = read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
     assert trimesh.Trimesh(body.vertices, body.faces, process=False).volume > 0
     assert body.parts.tolist() == [0, 0, 0, 0, 1, 2, 3, 4]
-
-
-def test_vertex_ids_may_be_written_as_whole_floats_and_a_list_as_null(mannequin: dict[str, Path]) -> None:
     mannequin["parts"].write_text(PARTS % '7.0], "head": null, "hands": [0.0')
     body, _ = read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
     assert body.parts.tolist() == [BodyPart.HANDS.value, 0, 0, 0, 1, 2, 3, 4]
@@ -129,25 +123,15 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
         ("parts", '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [8]}', "right_leg names vertex 8"),
         ("parts", '{"left_arm": 4, "right_arm": [5], "left_leg": [6], "right_leg": [7]}', "left_arm is not a list"),
         ("parts", '{"body": [0]}', "lists the parts body: add left_arm, right_arm, left_leg and right_leg"),
-        ("parts", "[1, 2]", "a list: give a map"),
-        ("parts", "{", "line 1, column 2: Expecting property name"),
         ("parts", PARTS.replace("[4]", "[]") % 7, "left_arm has no vertices: list the vertices of the limb"),
-        ("parts", PARTS % '7], "left_leg": [5', "key left_leg occurs twice in one object"),
         ("parts", PARTS % -1, "right_leg is not a list of vertex ids: give whole numbers, 0 or more"),
         ("parts", PARTS % 7.5, "right_leg is not a list of vertex ids"),
         ("parts", '{"%s": 1}' % ("a" * 10**5), "add left_arm, right_arm"),
         ("parts", PARTS % 10**30, "right_leg names vertex 10**15 or more"),
         ("parts", PARTS % "true", "right_leg is not a list of vertex ids"),
-        ("parts", 100_000 * "[", "64 levels deep"),
-        ("parts", "9" * 5000, "Exceeds the limit (4300 digits)"),
         ("size", 100_000 * "[" + 100_000 * "]", "nested too deeply"),
-        ("size", 10_000 * "[", "nested too deeply"),
-        ("size", "body: {height: " + 10_000 * "[", "nested too deeply"),
-        ("size", "9" * 5000, "not YAML"),
         ("size", "body: {height: 2026-13-45}", "not YAML"),
-        ("size", "body: {height: !!bool maybe}", "not YAML"),
         ("size", f"body: {{height: {10**400}}}", "body.height is 10**15 or more: give a positive number"),
-        ("size", f"body: {{height: 0x{5000 * 'f'}}}", "body.height is 10**15 or more"),
         ("size", "body: {height: 1.0e+300}", "body.height is 1e+300: give a positive number"),
         (
             "size",
@@ -158,7 +142,6 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
         ("size", "body:\n  waist: 70\n  waist: 90\n", "line 2, column 3: a repeated key"),
         ("size", "body: {waist: 070}", "the number 070, which is not in base 10"),
         ("size", "body: {height: 1:50}", "the number 1:50, which is not in base 10"),
-        ("size", "body: {height: 1:50.5}", "the number 1:50.5, which is not in base 10"),
         ("size", "a: &a {x: 1}\nbody:\n  <<: *a\n", "line 3, column 3: a merge key (<<): write the entries out"),
         ("size", LAUGHS, "nested too deeply"),
         ("size", MERGED_LAUGHS, "a merge key"),
@@ -188,12 +171,9 @@ def test_errors_of_broken_files_give_place_and_remedy(
     assert len(message.removeprefix(str(mannequin[name]))) < 400
 
 
-def test_without_a_segmentation_a_box_is_searched_for_a_body(mannequin: dict[str, Path]) -> None:
+def test_meshes_that_are_no_body_are_refused(mannequin: dict[str, Path]) -> None:
     with pytest.raises(BodyError, match=r"box\.obj: 12 triangles with an area, a body needs at least 500"):
         read_body(mannequin["mesh"], mannequin["size"])
-
-
-def test_a_flat_mesh_and_loose_triangles_are_no_body(mannequin: dict[str, Path]) -> None:
     flat = trimesh.creation.annulus(20.0, 80.0, 1e-9, sections=200)
     flat.vertices[:, 2] = 0.0
     corners = np.repeat(np.arange(600.0), 3)[:, None] * [0.0, 0.3, 0.0] + np.tile(np.eye(3), (600, 1))
@@ -202,9 +182,6 @@ def test_a_flat_mesh_and_loose_triangles_are_no_body(mannequin: dict[str, Path])
         mesh.export(mannequin["mesh"])
         with pytest.raises(BodyError, match=message):
             read_body(mannequin["mesh"])
-
-
-def test_a_body_of_an_impossible_height_is_an_error(mannequin: dict[str, Path]) -> None:
     trimesh.creation.box((1.0, 20.0, 1.0)).export(mannequin["mesh"])
     with pytest.raises(BodyError, match="20 tall, no adult's height in centimetres, metres"):
         read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
@@ -243,12 +220,6 @@ def test_measures_in_another_unit_are_refused(unit: str, factor: float, tmp_path
         named_body("male", measurements=tmp_path / "size.yaml")
 
 
-def test_a_byte_order_mark_before_measures_is_skipped(tmp_path: Path) -> None:
-    write_measurements(SIZE, tmp_path / "size.yaml")
-    (tmp_path / "bom.yaml").write_bytes(codecs.BOM_UTF8 + (tmp_path / "size.yaml").read_bytes())
-    assert read_measurements(tmp_path / "bom.yaml") == SIZE
-
-
 def test_a_mesh_without_a_body_is_taken_as_it_stands(
     mannequin: dict[str, Path], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -273,14 +244,8 @@ def test_bodies_by_name() -> None:
     assert shape == neutral_shape()
     assert size == SIZE
     assert body.name == "neutral"
-    _, _, drawn = named_body("random:7")
-    assert drawn == draw_shape(rng(7, 0, Stage.BODY))
-
-
-def test_women_men_and_the_pool_by_seed() -> None:
-    for group in ("female", "male", "pooled"):
-        _, _, drawn = named_body(f"{group}:7")
-        assert drawn == draw_shape(rng(7, 0, Stage.BODY), group=group)
+    for group in ("random", "female", "male", "pooled"):
+        assert named_body(f"{group}:7")[2] == draw_shape(rng(7, 0, Stage.BODY), group=group)
 
 
 def test_a_named_body_with_legs_apart_is_measured_with_legs_straight() -> None:
@@ -289,13 +254,6 @@ def test_a_named_body_with_legs_apart_is_measured_with_legs_straight() -> None:
     assert shape.legs_apart
     assert size == SIZE
     assert not np.array_equal(body.vertices, build_body(neutral_shape()).vertices)
-
-
-def test_a_mesh_file_by_its_path(mannequin: dict[str, Path]) -> None:
-    body, size, shape = named_body(mannequin["mesh"], measurements=mannequin["size"], segmentation=mannequin["parts"])
-    assert shape is None
-    assert len(body.vertices) == 8
-    assert size.to_file_values() == pytest.approx(SIZE.to_file_values())
 
 
 @pytest.mark.parametrize(
@@ -323,6 +281,159 @@ def test_a_height_must_be_an_adults_and_is_for_a_mesh(mannequin: dict[str, Path]
         named_body("neutral", height=170.0)
 
 
-def test_an_unwritable_file_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="cannot be written"):
-        write_measurements(SIZE, tmp_path / "no" / "such" / "folder.yaml")
+@cache
+def person() -> Body:
+    return build_body(draw_shape(rng(5, 1, Stage.BODY)))
+
+
+def mesh_of(*, ours: bool, metres: bool) -> trimesh.Trimesh:
+    """The person's mesh; with its faces in another order it is not recognised as the model's."""
+    faces = person().faces if ours else np.roll(person().faces, 1, axis=0)
+    return trimesh.Trimesh(person().vertices * (0.01 if metres else 1.0), faces, process=False)
+
+
+def test_every_kind_of_file_gives_the_measures_of_the_body_which_can_be_dressed(tmp_path: Path) -> None:
+    for kind in ("stl", "glb"):
+        mesh_of(ours=True, metres=kind == "glb").export(tmp_path / f"me.{kind}")
+        body, size, shape = named_body(tmp_path / f"me.{kind}")
+        assert shape is None
+        assert size.to_file_values() == pytest.approx(measure(person()).to_file_values(), abs=0.05)
+        assert kind == "stl" or np.array_equal(body.parts, person().parts)
+        assert kind == "stl" or body.vertices == pytest.approx(person().vertices, abs=1e-3)
+
+
+def test_corners_of_stl_are_merged_in_order_of_appearance(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=80.0)
+    ball.export(tmp_path / "ball.stl")
+    vertices, faces = read_mesh(tmp_path / "ball.stl")
+    assert len(vertices) == len(ball.vertices)
+    assert vertices[faces] == pytest.approx(ball.triangles, abs=1e-4)
+    firsts = np.unique(faces.ravel(), return_index=True)[1]
+    assert (np.diff(firsts) > 0).all()
+
+
+def test_transforms_of_nodes_are_honoured(tmp_path: Path) -> None:
+    """A body lying on its side at half size, under two nodes that rotate and enlarge it."""
+    turn = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
+    scene = trimesh.Scene()
+    lying = mesh_of(ours=True, metres=True).apply_transform(np.linalg.inv(turn)).apply_scale(0.5)
+    scene.graph.update(frame_from="world", frame_to="outer", matrix=np.diag([2.0, 2.0, 2.0, 1.0]))
+    scene.add_geometry(lying, node_name="inner", parent_node_name="outer", transform=turn)
+    scene.export(tmp_path / "me.glb")
+    vertices, _ = read_mesh(tmp_path / "me.glb")
+    assert 100.0 * vertices == pytest.approx(person().vertices, abs=1e-3)
+
+
+def test_eyes_beside_a_body_are_read_and_a_garment_is_an_error(tmp_path: Path) -> None:
+    eye = trimesh.creation.icosphere(radius=0.012).apply_translation([0.03, 1.6, 0.08])
+    body = mesh_of(ours=False, metres=True)
+    trimesh.Scene({"body": body, "eye": eye}).export(tmp_path / "eye.glb")
+    vertices, _ = read_mesh(tmp_path / "eye.glb")
+    assert len(vertices) == len(body.vertices) + len(eye.vertices)
+    shirt = body.copy().apply_scale(1.02)
+    trimesh.Scene({"body": body, "shirt": shirt}).export(tmp_path / "both.glb")
+    with pytest.raises(
+        BodyError, match=r"both\.glb: holds 2 meshes \(body, shirt\), none .* the body: export it alone"
+    ):
+        read_mesh(tmp_path / "both.glb")
+
+
+def test_vertices_of_obj_keep_their_numbers(tmp_path: Path) -> None:
+    """With materials, groups, texture seams and an unused vertex; trimesh would renumber them."""
+    text = (
+        "mtllib a.mtl\no body\nv 0 0 0\nv 1 0 0\nv 9 9 9\nv 0 170 0 1 0 0\nv 5 5 5\n"
+        "vt 0 0\nvt 1 1\nvn 0 0 1\nusemtl skin\nf 1/1/1 2/2/1 4/1/1\ng arm\nusemtl nail\nf 4//1 \\\n2//1 5//1\n"
+        "f -1 -2 -5\n"
+    )
+    (tmp_path / "a.obj").write_text(text)
+    vertices, faces = read_mesh(tmp_path / "a.obj")
+    assert vertices.tolist() == [[0, 0, 0], [1, 0, 0], [9, 9, 9], [0, 170, 0], [5, 5, 5]]
+    assert faces.tolist() == [[0, 1, 3], [3, 1, 4], [4, 3, 0]]
+
+
+def test_relative_vertex_numbers_count_from_their_line(tmp_path: Path) -> None:
+    """As written object by object, after a byte order mark; of the published bodies too."""
+    triangle = "v 0 0 %d\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n"
+    text = triangle % 1 + "f -3/-1/-1 -2/-1/-1 -1/-1/-1\n" + triangle % 2 + "f -3//-1 -2//-1 3\n"
+    (tmp_path / "a.obj").write_bytes(codecs.BOM_UTF8 + text.encode())
+    vertices, faces = read_mesh(tmp_path / "a.obj")
+    assert faces.tolist() == [[0, 1, 2], [3, 4, 2]]
+    assert vertices[:, 2].tolist() == [1, 0, 0, 2, 0, 0]
+    published = read_obj(tmp_path / "a.obj")
+    assert published.triangles().tolist() == faces.tolist()
+    assert published.positions().tolist() == vertices.tolist()
+
+
+def test_a_floor_of_a_scene_is_not_its_body(tmp_path: Path) -> None:
+    floor = trimesh.creation.box((1.3, 0.01, 1.3)).apply_translation([0.0, -0.01, 0.0])
+    body = mesh_of(ours=True, metres=True)
+    assert not floor.area < 0.2 * (body.area + floor.area)
+    trimesh.Scene({"floor": floor, "body": body}).export(tmp_path / "me.glb")
+    _, remarks = measure_file(tmp_path / "me.glb")
+    assert "left out: 12 triangles not connected to the body, such as a floor" in remarks
+
+
+# ----------------------------------------------------------------------------------------------------- malformed files
+
+
+def glb(tree: Any, data: bytes = b"") -> bytes:
+    text = (tree if isinstance(tree, bytes) else json.dumps(tree).encode()).ljust(4)
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def ply(vertices: int, faces: int, rows: str) -> bytes:
+    head = f"ply\nformat ascii 1.0\nelement vertex {vertices}\nproperty float x\nproperty float y\nproperty float z\n"
+    return (head + f"element face {faces}\nproperty list uchar int vertex_indices\nend_header\n{rows}").encode()
+
+
+CORNERS = "0 0 0\n0 170 0\n10 0 0\n"
+V = "v 0 0 0\nv 0 170 0\nv 10 0 0\n"
+NODE = {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], "accessors": [{"count": 3, "type": "VEC3"}]}
+MALFORMED = {
+    "far.ply": (ply(3, 1, CORNERS + "3 0 1 99\n"), "a face names vertex 99 of 3"),
+    "negative.ply": (ply(3, 1, CORNERS + "3 0 1 -7\n"), "a face names vertex -7 of 3"),
+    "none.ply": (ply(0, 1, "3 0 1 2\n"), ""),
+    "huge.ply": (ply(10**12, 1, CORNERS), ""),
+    "digits.ply": (ply(10**12, 1, CORNERS).replace(b"1000000000000", b"9" * 5000), ""),
+    "words.ply": (ply(3, 1, "a b c\n" * 4), ""),
+    "nan.ply": (ply(3, 1, CORNERS.replace("170", "nan") + "3 0 1 2\n"), "the position of vertex 1 is not a number"),
+    "nothing.ply": (b"", ""),
+    "zero.obj": (f"{V}f 0 1 2\n".encode(), "a face names vertex 0"),
+    "far.obj": (f"{V}f 1 2 99\n".encode(), ""),
+    "back.obj": (f"{V}f -1 -2 -9\n".encode(), "a face names vertex -9, but OBJ counts from 1"),
+    "none.obj": (b"f 1 2 3\n", ""),
+    "words.obj": (f"{V}f a b c\n".encode(), ""),
+    "flat.obj": (f"{V}f 1 2\n".encode(), ""),
+    "nothing.stl": (b"", ""),
+    "short.stl": (bytes(80) + struct.pack("<I", 10**9) + bytes(50), ""),
+    "words.stl": (b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\nendloop\nendfacet\nendsolid\n", ""),
+    "normal.stl": (b"solid a\nfacet normal 0 0 x\nouter loop\nvertex 0 0 0\nvertex 0 nan 0\nvertex 9 0 0\n", ""),
+    "nothing.glb": (b"", "not binary glTF 2.0"),
+    "deep.glb": (glb(b"[" * 100_000), "levels deep"),
+    "list.glb": (glb([1]), "its JSON is not an object"),
+    "empty.glb": (glb({}), ""),
+    "parts.glb": (glb({"nodes": {"a": 1}}), "its nodes are not a list of objects"),
+    "huge.glb": (glb({"accessors": [{"count": 10**12, "componentType": 5126, "type": "VEC3"}]}), "more numbers than"),
+    "loop.glb": (glb({"nodes": [{"children": [1]}, {"children": [0]}]}), "contain each other"),
+    "shared.glb": (glb({"nodes": [{"children": [2]}, {"children": [2]}, {}]}), "are not a tree"),
+    "packed.glb": (glb({"extensionsUsed": ["KHR_draco_mesh_compression"]}), "export it without compression"),
+    "many.glb": (glb({**NODE, "nodes": [{"mesh": 0}] * 9000}, bytes(36)), ""),
+    "odd.glb": (glb({**NODE, "nodes": [{"mesh": 7}]}), "a missing mesh"),
+    "file.glb": (glb({**NODE, "nodes": [{"mesh": 0}], "buffers": [{"uri": "/etc/passwd", "byteLength": 36}]}), ""),
+}
+
+
+@pytest.mark.parametrize("name", MALFORMED)
+def test_malformed_files_give_one_line_errors(name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    content, expected = MALFORMED[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(BodyError) as caught:
+        read_body(tmp_path / name)
+    message = str(caught.value)
+    assert expected in message
+    assert message.startswith(f"{tmp_path / name}: ")
+    assert message.isprintable()
+    assert len(message.removeprefix(str(tmp_path))) < 250
+    assert "Traceback" not in caplog.text

@@ -1,10 +1,9 @@
-"""Adults drawn from the calibrated population, and the calibration's closed form."""
+"""Adults drawn from the calibrated population."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
@@ -17,18 +16,9 @@ from gcd_dataset.generator.body.shape import (
     named_shape,
     weights_of,
 )
-from gcd_dataset.records import MEASURES, Body
 from gcd_dataset.seeding import Stage, rng
-from tests.helpers import body_from
-from tools.body_model.calibrate import flank_stretch, nearest_covariance
-from tools.body_model.survey import (
-    HANGING,
-    body_weight,
-    shoulder_breadths,
-    shoulders_of,
-    survey_measures,
-    survey_of,
-)
+from tools.body_model.calibrate import flank_stretch
+from tools.body_model.survey import HANGING, shoulder_breadths, shoulders_of, survey_measures, survey_of
 
 PEOPLE = 50  # 200 in tests/extras/test_population.py
 
@@ -39,7 +29,7 @@ def measured(group: str, people: int) -> dict[str, np.ndarray]:
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
-@pytest.mark.parametrize("group", ["random", "female", "male"])
+@pytest.mark.parametrize("group", ["female", "male"])
 def test_drawn_adults_have_the_surveys_statistics(group: str) -> None:
     require_the_surveys_statistics(group, PEOPLE)
 
@@ -65,26 +55,19 @@ def require_the_surveys_statistics(group: str, people: int) -> None:
 def test_no_adult_has_a_ledge_at_the_hips(sex: str) -> None:
     """The flanks between hips and waist keep over half of the mean body's height; once 3 % of women kept a quarter."""
     adults, stretch, chance = adults_of(sex), flank_stretch(), np.random.default_rng(0)
-    heights = [1.0 + stretch @ weights_of(adults, chance.standard_normal(len(stretch))) for _ in range(2000)]
+    heights = [1.0 + stretch @ weights_of(adults, chance.standard_normal(len(stretch))) for _ in range(500)]
     assert min(heights) > 0.5
     assert max(heights) < 1.6
 
 
-def test_every_drawn_adult_can_be_measured() -> None:
-    for index in range(6):
-        for sex in ("female", "male"):
-            size = measure(build_body(draw_shape(rng(8, index, Stage.BODY), group=sex, legs_apart=True)))
-            assert all(np.isfinite(getattr(size, name)) for name in MEASURES)
-
-
 def test_random_bodies_are_the_women_and_men_of_their_streams() -> None:
     kinds = []
-    for index in range(60):
+    for index in range(24):
         kind, shape = draw_from("random", rng(3, index, Stage.BODY))
         assert shape == draw_shape(rng(3, index, Stage.BODY)) == draw_shape(rng(3, index, Stage.BODY), group=kind)
         kinds.append(kind)
     assert set(kinds) == {"female", "male"}
-    assert kinds.count("female") == pytest.approx(30, abs=3 * np.sqrt(60) / 2)
+    assert kinds.count("female") == pytest.approx(12, abs=3 * np.sqrt(24) / 2)
 
 
 def test_the_groups_draw_different_bodies_from_one_stream() -> None:
@@ -102,7 +85,7 @@ def test_the_error_of_an_unknown_group_lists_the_known_ones() -> None:
 def test_weights_have_the_mean_and_axes_of_the_adults() -> None:
     axes = np.diag([2.0, 0.5, 1.0])
     adults, generator = Adults(np.array([1.0, -2.0, 0.0]), axes), np.random.default_rng(0)
-    drawn = np.array([weights_of(adults, generator.standard_normal(3)) for _ in range(4000)])
+    drawn = np.array([weights_of(adults, generator.standard_normal(3)) for _ in range(2000)])
     assert drawn.mean(axis=0) == pytest.approx(adults.mean, abs=0.1)
     assert np.cov(drawn.T) == pytest.approx(axes**2, abs=0.2)
     assert (np.abs(drawn - adults.mean) <= MAX_DEVIATION * np.diag(axes) + 1e-12).all()
@@ -113,69 +96,6 @@ def test_adults_stay_within_the_range_of_the_model() -> None:
         adults = adults_of(sex)
         assert np.linalg.norm(adults.axes, axis=0).max() < 2.5  # standard deviations of the model
         assert np.abs(adults.mean).max() < 4.0
-
-
-# --------------------------------------------------------------------------------------------------------- calibration
-
-
-def test_the_nearest_covariance_changes_conditioned_axes_only() -> None:
-    """With an identity prior and a condition on the first axis, only that axis changes."""
-    slopes, wanted = np.array([[2.0, 0.0, 0.0]]), np.array([[16.0]])
-    assert nearest_covariance(np.eye(3), [(slopes, wanted)]) == pytest.approx(np.diag([4.0, 1.0, 1.0]))
-
-
-def test_the_nearest_covariance_meets_all_conditions() -> None:
-    generator = np.random.default_rng(2)
-    together, alone = generator.standard_normal((3, 6)), generator.standard_normal((1, 6))
-    root = generator.standard_normal((3, 3))
-    wanted, variance = root @ root.T + np.eye(3), np.array([[2.5]])
-    found = nearest_covariance(np.eye(6), [(together, wanted), (alone, variance)])
-    assert together @ found @ together.T == pytest.approx(wanted, abs=1e-6)
-    assert alone @ found @ alone.T == pytest.approx(variance, abs=1e-6)
-    assert np.linalg.eigvalsh(found).min() > 0
-
-
-# --------------------------------------------------------------------------------------------------------------- survey
-
-
-def test_a_ball_of_a_litre_weighs_a_kilogram() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=5, radius=(3000 / (4 * np.pi)) ** (1 / 3))
-    assert body_weight(body_from(ball)) == pytest.approx(1.0, rel=2e-3)
-
-
-def test_the_surveys_measures_of_the_neutral_body_make_sense() -> None:
-    body = build_body(neutral_shape())
-    size = measure(body)
-    found = survey_measures(body, size)
-    assert size.waist < found["navel_girth"] < found["hips"]
-    assert 2 * (found["waist_breadth"] + found["waist_depth"]) > found["navel_girth"]
-    assert np.pi * found["waist_depth"] < found["navel_girth"]
-    assert (
-        found["crotch_height"] < found["navel_height"] < found["bust_height"] < found["nape_height"] < found["height"]
-    )
-    assert (
-        found["nape_height"] - found["navel_height"]
-        < found["nape_to_navel"]
-        < 1.1 * (found["nape_height"] - found["navel_height"])
-    )
-    assert size.wrist < found["calf"] < found["thigh"]
-
-
-def test_the_surveys_measures_grow_with_the_body() -> None:
-    body = build_body(neutral_shape())
-    larger = Body(1.1 * body.vertices, body.faces, body.parts)
-    small, large = (survey_measures(each, measure(each)) for each in (body, larger))
-    for name in ("navel_girth", "waist_breadth", "waist_depth", "nape_to_navel", "calf", "bust_depth"):
-        assert large[name] == pytest.approx(1.1 * small[name], rel=1e-6)
-    assert large["weight"] == pytest.approx(1.1**3 * small["weight"])
-
-
-def test_the_mixed_population_is_half_women_and_half_men() -> None:
-    """Statures of 162.85 ± 6.42 and 175.62 ± 6.86 cm: the variance within the sexes and of the sexes."""
-    mixed, row = survey_of("random"), survey_of("random").measures.index("height")
-    assert mixed.mean[row] == pytest.approx((162.85 + 175.62) / 2)
-    assert mixed.sd[row] == pytest.approx(np.sqrt((6.42**2 + 6.86**2) / 2 + ((175.62 - 162.85) / 2) ** 2))
-    assert mixed.sd[row] == pytest.approx(9.2, abs=0.05)
 
 
 def test_shoulder_points_approach_each_other_as_the_arms_rise() -> None:
@@ -194,11 +114,3 @@ def test_hanging_shoulders_are_as_broad_as_the_surveys(sex: str) -> None:
     scale = survey_of(sex).mean[survey_of(sex).measures.index("height")] / np.ptp(body.vertices[:, 1])
     mean, _ = shoulders_of(sex)["bideltoid"]
     assert scale * shoulder_breadths(body)["bideltoid"] == pytest.approx(mean, rel=0.04)
-
-
-def test_published_correlations_are_correlations() -> None:
-    for sex in ("female", "male", "random"):
-        matrix = survey_of(sex).correlation
-        assert np.array_equal(matrix, matrix.T)
-        assert np.diag(matrix) == pytest.approx(np.ones(len(matrix)))
-        assert np.linalg.eigvalsh(matrix).min() > 0

@@ -1,6 +1,7 @@
-"""Bodies of the shape space: closed, symmetric, posed, linear in their weights, with a gap under the arms."""
+"""Bodies of the shape space: closed, symmetric, posed, linear in their weights; and bodies fitted to measures."""
 
 import hashlib
+import sys
 from dataclasses import replace
 from importlib.resources import files
 
@@ -14,14 +15,13 @@ from gcd_dataset.generator.body import (
     build_body,
     draw_shape,
     female_shape,
-    male_shape,
+    fit_shape,
     measure,
-    named_shape,
     neutral_shape,
 )
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.shape import T_POSE, arm_clearance
-from gcd_dataset.records import Body, BodyPart, BodyShape
+from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 
 
@@ -96,17 +96,10 @@ def test_arms_are_level_in_the_t_pose() -> None:
     assert measure(level).waist == pytest.approx(measure(standing).waist, abs=0.01)
 
 
-def test_the_same_stream_draws_the_same_body() -> None:
-    first, again, other = (draw_shape(rng(3, index, Stage.BODY)) for index in (5, 5, 6))
-    assert first == again
-    assert np.array_equal(build_body(first).vertices, build_body(again).vertices)
-    assert first != other
-
-
 def test_pooled_weights_have_the_papers_spread() -> None:
-    shapes = [draw_shape(rng(0, index, Stage.BODY), group="pooled") for index in range(300)]
+    shapes = [draw_shape(rng(0, index, Stage.BODY), group="pooled") for index in range(80)]
     weights = np.array([shape.weights for shape in shapes])
-    assert weights.std() == pytest.approx(0.7, abs=0.03)
+    assert weights.std() == pytest.approx(0.7, abs=0.06)
     assert max(abs(shape.arm_angle) for shape in shapes) <= np.radians(15.0)
 
 
@@ -120,7 +113,7 @@ def test_a_body_is_linear_in_its_weights() -> None:
 def test_halves_do_not_cross_the_midplane() -> None:
     """Bodies are symmetric: skin that crosses x = 0 intersects its mirror image."""
     left = body_model().mean[:, 0] > 1e-9
-    for index in range(10):
+    for index in range(4):
         drawn = draw_shape(rng(21, index, Stage.BODY))
         body = build_body(BodyShape(3.0 * drawn.weights))
         assert body.vertices[left, 0].min() > 0.0
@@ -136,18 +129,9 @@ def test_parts_lie_where_they_belong() -> None:
     assert height[BodyPart.LEFT_LEG].max() < height[BodyPart.LEFT_ARM].max()
 
 
-def test_unknown_names_and_wrong_numbers_of_weights_are_errors() -> None:
-    with pytest.raises(BodyError, match="no body named giant: there are neutral, female, male"):
-        named_shape("giant")
+def test_a_wrong_number_of_weights_is_an_error() -> None:
     with pytest.raises(BodyError, match=f"3 shape weights, the body model takes {len(body_model().components)}"):
         build_body(BodyShape(np.zeros(3)))
-
-
-def test_men_are_taller_and_women_have_wider_hips_than_waists() -> None:
-    woman, man = measure(build_body(female_shape())), measure(build_body(male_shape()))
-    assert man.height > woman.height + 8.0
-    assert man.shoulder_w > woman.shoulder_w
-    assert woman.hips - woman.waist > man.hips - man.waist + 5.0
 
 
 def test_clearance_grows_by_the_shift_of_the_arms() -> None:
@@ -165,8 +149,59 @@ def test_raised_arms_have_more_clearance() -> None:
 
 
 def test_arms_of_drawn_bodies_are_clear_by_a_centimetre() -> None:
-    for index in range(8):
+    for index in range(3):
         for group in ("female", "male", "pooled"):
             shape = draw_shape(rng(13, index, Stage.BODY), group=group)
             assert arm_clearance(build_body(shape)) > 1.0
             assert abs(shape.arm_angle) <= np.radians(15.0)
+
+
+LENGTHS = [name for name in MEASURES if name not in ANGLES]
+
+
+def values(size: Measurements, names: list[str] | tuple[str, ...] = MEASURES) -> np.ndarray:
+    return np.array([getattr(size, name) for name in names])
+
+
+def test_residuals_are_the_errors_of_the_fitted_body_and_open_measures_get_probable_values() -> None:
+    neutral = measure(build_body(neutral_shape()))
+    wanted = Measurements(height=neutral.height, waist=neutral.waist + 4.0)
+    found = fit_shape(wanted)
+    measured = measure(build_body(found.shape))
+    for name in ("height", "waist"):
+        assert getattr(measured, name) == pytest.approx(getattr(wanted, name), abs=0.1)
+        assert getattr(measured, name) - getattr(wanted, name) == pytest.approx(getattr(found.residual, name), abs=1e-9)
+    assert np.isnan(found.residual.wrist)
+    assert values(measured, LENGTHS) == pytest.approx(values(neutral, LENGTHS), rel=0.1)
+
+
+def test_the_measures_of_a_drawn_body_are_fitted_to_a_millimetre() -> None:
+    drawn = draw_shape(rng(0, 2, Stage.BODY))
+    size = measure(build_body(drawn))
+    found = fit_shape(size)
+    assert np.abs(values(found.residual, LENGTHS)).max() < 0.1
+    assert np.degrees(np.abs(values(found.residual, tuple(ANGLES)))).max() < 0.2
+    assert found.shape.arm_angle == pytest.approx(drawn.arm_angle, abs=0.01)
+    apart = build_body(found.shape).vertices - build_body(drawn).vertices
+    assert np.linalg.norm(apart, axis=1).mean() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("size", "message"),
+    [
+        (Measurements(), "no measure is given"),
+        (Measurements(height=-3.0), "height is -3 cm.*give a length in cm"),
+        (Measurements(waist=np.inf), "waist is inf"),
+        (Measurements(height=1.72), "height is 1.72 cm, and 17"),
+    ],
+)
+def test_impossible_measures_are_errors_with_a_remedy(size: Measurements, message: str) -> None:
+    with pytest.raises(BodyError, match=message):
+        fit_shape(size)
+
+
+def test_a_body_too_far_from_the_mean_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``REACH`` is lowered, so that few iterations exceed it."""
+    monkeypatch.setattr(sys.modules["gcd_dataset.generator.body.shape_fit"], "REACH", 1.0)
+    with pytest.raises(BodyError, match=r"no adult has these.*standard deviations.*in cm, all of one person"):
+        fit_shape(Measurements(height=215.0))

@@ -1,4 +1,4 @@
-"""Nearest points on surfaces, Loop subdivision, and data kept as long as their body."""
+"""Sections, tapes, shortest paths, nearest points and subdivision, on shapes with known answers."""
 
 import gc
 import weakref
@@ -9,12 +9,21 @@ import pytest
 import trimesh
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.geodesic import graph_between
+from gcd_dataset.generator.body import measures
+from gcd_dataset.generator.body.geodesic import GeodesicGraph, graph_between
 from gcd_dataset.generator.body.measuring import narrowest_ring
-from gcd_dataset.generator.body.repair import BodyScan
-from gcd_dataset.generator.body.section import contour_length, girth, loops, section
+from gcd_dataset.generator.body.repair import Scan
+from gcd_dataset.generator.body.section import (
+    clipped,
+    contour_length,
+    girth,
+    loops,
+    rough_girths,
+    section,
+    section_points,
+    tape,
+)
 from gcd_dataset.generator.body.surface import SkinSurface, kept_per_body, refine
-from gcd_dataset.generator.body.tailor import larger_thigh, over_back
 from gcd_dataset.records import Body
 from tests.helpers import body_from
 
@@ -50,7 +59,7 @@ def test_two_loops_of_a_torus_are_distinguished() -> None:
     assert len(np.unique(loop)) == 2
     for each in (0, 1):
         assert contour_length(cut[loop == each]) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
-    assert larger_thigh(cut, 0.0) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
+    assert measures.larger_thigh(cut, 0.0) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
     assert girth(cut[:, 0][:, [0, 2]]) == pytest.approx(2 * np.pi * 5.0 + 80.0, rel=1e-3)  # a tape round both loops
 
 
@@ -58,11 +67,18 @@ def test_girths_of_an_ellipse_and_a_box() -> None:
     angle = np.linspace(0.0, 2 * np.pi, 2000, endpoint=False)
     ellipse = np.stack([15.0 * np.cos(angle), 0.0 * angle, 10.0 * np.sin(angle)], axis=1)
     ramanujan = np.pi * (3 * 25.0 - np.sqrt((3 * 15.0 + 10.0) * (15.0 + 3 * 10.0)))
-    assert girth(ellipse[:, [0, 2]]) == pytest.approx(ramanujan, rel=1e-4)
+    assert measures.round_section(ellipse) == pytest.approx(ramanujan, rel=1e-4)
     box = np.array([(x, 0.0, z) for x in (-12.0, 12.0) for z in (-7.0, 7.0)])
-    assert girth(box[:, [0, 2]]) == pytest.approx(2 * (24.0 + 14.0))
+    assert measures.round_section(box) == pytest.approx(2 * (24.0 + 14.0))
     left, right = np.array([12.0, 0.0, 0.0]), np.array([-12.0, 0.0, 0.0])
-    assert over_back(box, left, right) == pytest.approx(24.0 + 2 * 7.0)
+    assert measures.over_back(box, left, right) == pytest.approx(24.0 + 2 * 7.0)
+
+
+def test_distances_are_taken_in_batches() -> None:
+    points = np.random.default_rng(0).normal(size=(2, 5, 3))
+    assert measures.apart(*points) == pytest.approx([measures.apart(a, b) for a, b in zip(*points, strict=True)])
+    rings = np.random.default_rng(1).normal(size=(4, 9, 3))
+    assert measures.around(rings) == pytest.approx([measures.around(ring) for ring in rings])
 
 
 def test_a_geodesic_between_any_two_points_of_a_ball() -> None:
@@ -83,7 +99,7 @@ def test_the_narrowest_ring_of_an_hourglass() -> None:
     ring = np.stack([4.0 * np.cos(angle), 0 * angle, 4.0 * np.sin(angle)], axis=1)
     skin = np.zeros(len(glass.faces), bool)
     found = narrowest_ring(glass.vertices, glass.faces, ring, np.arange(-6, 7) * 0.5, skin)
-    assert np.linalg.norm(np.roll(found, -1, axis=0) - found, axis=1).sum() == pytest.approx(2 * np.pi * 4.0, rel=1e-3)
+    assert measures.around(found) == pytest.approx(2 * np.pi * 4.0, rel=1e-3)
     assert found[:, 1] == pytest.approx(found[0, 1])
 
 
@@ -98,7 +114,7 @@ def test_a_flat_limb_has_no_ring() -> None:
 def test_a_scan_is_welded_and_its_holes_are_patched() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=50.0)
     open_faces = ball.faces[ball.vertices[ball.faces][:, :, 1].max(axis=1) < 45.0]
-    scan = BodyScan.of(ball.vertices[open_faces].reshape(-1, 3), np.arange(open_faces.size).reshape(-1, 3), "ball")
+    scan = Scan.of(ball.vertices[open_faces].reshape(-1, 3), np.arange(open_faces.size).reshape(-1, 3), "ball")
     mesh = trimesh.Trimesh(scan.vertices, scan.faces, process=False)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -110,9 +126,9 @@ def test_a_scan_is_welded_and_its_holes_are_patched() -> None:
 
 def test_an_empty_scan_is_an_error() -> None:
     with pytest.raises(BodyError, match="0 triangles with an area"):
-        BodyScan.of(np.zeros((3, 3)), np.array([[0, 1, 2]]), "flat")
+        Scan.of(np.zeros((3, 3)), np.array([[0, 1, 2]]), "flat")
     with pytest.raises(BodyError, match="names vertex 3 of 3"):
-        BodyScan.of(np.zeros((3, 3)), np.array([[0, 1, 3]]), "flat")
+        Scan.of(np.zeros((3, 3)), np.array([[0, 1, 3]]), "flat")
 
 
 def ball(radius: float) -> Body:
@@ -170,3 +186,92 @@ def test_a_flat_sheet_is_refined_evenly() -> None:
     face = faces[marked][0]
     middles = (vertices[face] + vertices[np.roll(face, -1)]) / 2
     assert {tuple(p) for p in (matrix @ vertices)[49:].round(9)} == {tuple(p) for p in middles.round(9)}
+
+
+XZ = [0, 2]
+
+
+def cylinder(radius: float, *, sides: int = 512) -> trimesh.Trimesh:
+    """A cylinder along y, 20 cm long, centred at the origin."""
+    shape = trimesh.creation.cylinder(radius, 20.0, sections=sides)
+    shape.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    return shape
+
+
+def test_girth_of_a_cylinder() -> None:
+    shape = cylinder(12.0)
+    cut = section(shape.vertices, shape.faces, 1, 3.0)
+    assert girth(cut[:, 0][:, XZ]) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
+    assert contour_length(cut) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("level", [0.37, 0.0])  # 0.0 runs through vertices
+def test_first_points_of_a_sections_segments_are_all_its_points(level: float) -> None:
+    shape = trimesh.creation.icosphere(subdivisions=4, radius=7.0)
+    cut = section(shape.vertices, shape.faces, 1, level)
+    assert {tuple(p) for p in cut[:, 0].round(9) + 0.0} == {tuple(p) for p in cut[:, 1].round(9) + 0.0}
+    assert np.abs(cut[:, :, 1] - level).max() < 1e-12
+
+
+def test_points_of_several_sections_equal_those_of_each() -> None:
+    shape = trimesh.creation.icosphere(subdivisions=3, radius=7.0)
+    levels = np.array([-3.1, 0.2, 5.5])
+    points, at = section_points(shape.vertices, shape.edges_unique, 1, levels)
+    for level in levels:
+        one = section(shape.vertices, shape.faces, 1, level)[:, 0]
+        assert {tuple(p) for p in points[at == level].round(9)} == {tuple(p) for p in one.round(9)}
+
+
+def test_a_level_off_the_mesh_has_an_empty_section() -> None:
+    shape = trimesh.creation.box((1.0, 1.0, 1.0))
+    assert section(shape.vertices, shape.faces, 1, 9.0).shape == (0, 2, 3)
+
+
+def test_a_tape_bridges_hollows_on_its_side_and_a_contour_does_not() -> None:
+    corners = np.array([(0, 0), (4, 0), (4, 3), (2, 1), (0, 3)], float)
+    notched = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    in_space = np.stack([notched[..., 0], np.zeros((5, 2)), notched[..., 1]], axis=-1)
+    assert girth(corners) == pytest.approx(14.0)
+    assert contour_length(in_space) == pytest.approx(10.0 + 2 * np.sqrt(8.0))
+    wedge = np.array([(0.0, 0.0), (3.0, 0.0), (0.0, 4.0), (1.0, 1.0)])
+    assert tape(wedge, (0.0, -1.0)) == pytest.approx(3.0)
+    assert tape(wedge, (-1.0, 0.0)) == pytest.approx(4.0)
+    assert tape(wedge, (1.0, 1.0)) == pytest.approx(5.0)
+    assert tape(wedge, (1.0, 1.0), over=-1.1) == pytest.approx(12.0)
+
+
+def test_rough_girths_are_close_to_girths() -> None:
+    angle = np.linspace(0, 2 * np.pi, 300, endpoint=False)
+    rings = [np.stack([a * np.cos(angle), b * np.sin(angle)], axis=1) for a, b in ((10, 10), (13, 8), (9, 9.5))]
+    quick = rough_girths(np.concatenate(rings), np.repeat([1.0, 2.0, 3.0], 300))
+    assert quick == pytest.approx([girth(ring) for ring in rings], rel=2e-3)
+
+
+def test_half_a_circle_is_clipped_from_a_circle() -> None:
+    shape = cylinder(5.0)
+    cut = section(shape.vertices, shape.faces, 1, 3.0)
+    half = clipped(cut, (0.0, 0.0, 1.0), np.array([0.0, 0.0, 0.001]))
+    assert half[:, :, 2].min() >= 0.001 - 1e-12
+    assert contour_length(half) == pytest.approx(np.pi * 5.0, abs=0.01)
+
+
+def test_a_geodesic_of_a_ball() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=10.0)
+    start, end = int(ball.vertices[:, 1].argmax()), int(ball.vertices[:, 0].argmax())
+    angle = np.arccos(ball.vertices[start] @ ball.vertices[end] / 100.0)
+    graph = GeodesicGraph.over(np.asarray(ball.faces), start, end, points_per_edge=3)
+    assert graph.length(ball.vertices) == pytest.approx(10.0 * angle, rel=0.005)
+
+
+def test_a_path_over_a_flat_sheet_is_straight_across_edges() -> None:
+    x, y = np.meshgrid(np.arange(11.0), np.arange(8.0))
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(88)], axis=1)
+    cell = np.array([11 * j + i for j in range(7) for i in range(10)])
+    faces = np.concatenate([np.stack([cell, cell + 1, cell + 12], 1), np.stack([cell, cell + 12, cell + 11], 1)])
+    graph = GeodesicGraph.over(faces, 0, 87, points_per_edge=4)
+    assert graph.length(vertices) == pytest.approx(np.hypot(10.0, 7.0), rel=0.005)
+    assert graph.without_detours(vertices, least=0.8).length(vertices) == pytest.approx(
+        graph.length(vertices), rel=1e-9
+    )
+    path = graph.path(vertices)
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(graph.length(vertices))

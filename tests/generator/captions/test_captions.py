@@ -1,6 +1,9 @@
-"""Captions state what is drawn, in words that agree with the drawing's measures."""
+"""Captions and tags state what is drawn, in the tailor's words."""
 
 import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -11,19 +14,79 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.generator.captions import caption, captions, garment_facts, say
 from gcd_dataset.generator.captions.facts import AT_KNEE, KNEE_HEIGHT
 from gcd_dataset.generator.captions.sentences import MOST_SHORT_WORDS
-from gcd_dataset.generator.garments import design_from_dict, draw_garment
-from gcd_dataset.generator.garments.assembly import bottom_rise
+from gcd_dataset.generator.garments import (
+    TAGS,
+    GarmentDesign,
+    Reject,
+    design_from_dict,
+    garment_tags,
+    outfit,
+    sample_design,
+    try_on,
+)
 from gcd_dataset.generator.garments.circle_skirt import VISIBLE_CUT
-from gcd_dataset.generator.garments.description import RUFFLES
+from gcd_dataset.generator.garments.description import RUFFLES, Tag
+from gcd_dataset.generator.garments.drawn import hem_depth
+from gcd_dataset.generator.garments.outfit import bottom_rise
+from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom
-from gcd_dataset.records import Panel, Pattern
-from tests.generator.garments.conftest import OUTFITS, WOMAN
-from tests.generator.worn import Worn, drawn, edges, hem_cut_depth, sampled_wardrobe
+from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
+from tests.generator.garments.conftest import MAN, OUTFITS, STOUT, WOMAN
+
+
+class Worn(NamedTuple):
+    """A design, drawn for a wearer."""
+
+    size: Measurements
+    design: GarmentDesign
+    pattern: Pattern
+
+    def captions(self, index: int = 0) -> dict[str, str]:
+        return dict(captions(self.size, self.design, self.pattern, seed=5, index=index))
+
+
+def drawn(size: Measurements, **values: object) -> Worn:
+    """A design of sections, with underscores in their names, drawn for a wearer."""
+    design = design_from_dict({name.replace("_", "-"): part for name, part in values.items()})
+    return Worn(size, design, outfit(size, design))
+
+
+def sampled(count: int, *overlays: Mapping[str, Any]) -> Iterator[Worn]:
+    """Accepted random designs, on a woman, a man and a stout woman in turn."""
+    random = np.random.default_rng(21)
+    for overlay in overlays or ({},):
+        narrowed = Overlay.from_dict(overlay)
+        for number in range(count):
+            size = (WOMAN, MAN, STOUT)[number % 3]
+            design = sample_design(random, [size], overlay=narrowed)
+            pattern = try_on(size, design, name="sampled")
+            if not isinstance(pattern, Reject):
+                yield Worn(size, design, pattern)
 
 
 @pytest.fixture(scope="module")
 def wardrobe() -> list[Worn]:
-    return sampled_wardrobe()
+    """Sampled designs, with capes and ponchos, which only overlays choose."""
+    alone = {"wb": "none", "bottom": "none"}
+    rare = [{"meta": {"upper": name, **alone}} for name in ("Cape", "Poncho")]
+    levels, pants = ({"meta": {"upper": "none", "bottom": name}} for name in ("SkirtLevels", "Pants"))
+    return [*sampled(120), *sampled(8, *rare), *sampled(20, levels, pants)]
+
+
+def edges(pattern: Pattern) -> set[str]:
+    """The names of all edges, without number."""
+    return {edge.name.partition(".")[0] for panel in pattern.panels for edge in panel.edges}
+
+
+def hem_cut_depth(pattern: Pattern) -> float:
+    """Distance from the tip of a hem cut to the middle of its mouth [cm]; 0 without a cut."""
+    for panel in pattern.panels:
+        ends = {edge.name: panel.edge_ends(index) for index, edge in enumerate(panel.edges)}
+        if "hem_cut.0" in ends:
+            (a, b), (c, d) = (ends[f"hem_cut.{number}"] for number in (0, 1))
+            tip, *mouth = (b, a, d) if np.allclose(b, c) else (a, b, c)
+            return float(np.linalg.norm(np.asarray(tip) - np.mean(mouth, axis=0)))
+    return 0.0
 
 
 def test_every_garment_of_the_wardrobe_has_captions(wardrobe: list[Worn]) -> None:
@@ -38,7 +101,7 @@ def test_every_garment_of_the_wardrobe_has_captions(wardrobe: list[Worn]) -> Non
 @pytest.mark.parametrize("name", OUTFITS)
 def test_the_outfits_of_the_battery_have_captions(name: str) -> None:
     design = design_from_dict(OUTFITS[name])
-    texts = captions(WOMAN, design, draw_garment(WOMAN, design))
+    texts = captions(WOMAN, design, outfit(WOMAN, design))
     assert all(texts.values())
 
 
@@ -93,36 +156,12 @@ def test_a_caption_mentions_the_parts_that_are_drawn_and_no_others(wardrobe: lis
     assert len(seen) == 11
 
 
-def test_slits_left_out_of_the_drawing_are_not_mentioned() -> None:
-    """A godet skirt's base is sewn without its slits."""
-    slits = {"front_slit": 0.5, "left_slit": 0.5}
-    plain = drawn(WOMAN, meta={"bottom": "PencilSkirt"}, pencil_skirt=slits)
-    godets = drawn(WOMAN, meta={"bottom": "GodetSkirt"}, pencil_skirt=slits, godet_skirt={"base": "PencilSkirt"})
-    assert "slit" in plain.captions()["full"]
-    assert "slit" not in godets.captions()["full"]
-
-
 def test_a_collar_that_differing_halves_leave_out_is_not_mentioned() -> None:
     hood = {"component": {"style": "Hood2Panels"}}
     both = drawn(WOMAN, meta={"upper": "Shirt"}, collar=hood)
     halves = drawn(WOMAN, meta={"upper": "Shirt"}, collar=hood, left={"enable_asym": True, "collar": {"width": 0.9}})
     assert "hood" in both.captions()["full"]
     assert "hood" not in halves.captions()["full"]
-
-
-def test_a_trapezoid_neckline_drawn_as_a_v_is_called_a_v() -> None:
-    """Flat sides meet in the middle before they reach the depth."""
-    flat = {"f_collar": "TrapezoidNeckHalf", "fc_angle": 110, "fc_depth": 1.6, "width": -0.3}
-    assert "V-neckline" in drawn(WOMAN, meta={"upper": "Shirt"}, collar=flat).captions()["full"]
-    steep = flat | {"fc_angle": 90, "fc_depth": 0.4, "width": 0.3}
-    assert "V-neckline" not in drawn(WOMAN, meta={"upper": "Shirt"}, collar=steep).captions()["full"]
-
-
-def test_a_skirt_is_gathered_if_its_seam_gathers_it() -> None:
-    """On a band as long as its top, a skirt declared with gathers hangs straight."""
-    skirt = {"meta": {"bottom": "Skirt2", "wb": "StraightWB"}, "skirt": {"ruffle": 1.5, "rise": 1.0}}
-    assert "gathered skirt" in drawn(WOMAN, waistband={"waist": 1.0}, **skirt).captions()["full"]
-    assert "gathered" not in drawn(WOMAN, waistband={"waist": 1.5}, **skirt).captions()["full"]
 
 
 # -------------------------------------------------------------------------------------------------------------- lengths
@@ -236,17 +275,14 @@ def test_the_wording_is_a_function_of_seed_and_index() -> None:
     assert caption(*worn, level="full", seed=5, index=3) == texts[3]
 
 
-def test_an_unknown_level_is_refused() -> None:
-    with pytest.raises(ConfigError, match="give one of short, medium, full"):
-        caption(*drawn(WOMAN, meta={"upper": "Shirt"}), level="long")
-
-
-def test_the_member_holds_one_level_a_line() -> None:
+def test_the_member_holds_one_level_a_line_and_an_unknown_level_is_refused() -> None:
     texts = drawn(WOMAN, meta={"upper": "Shirt"}).captions()
     assert read_captions(caption_text(texts)) == texts
     assert caption_text(texts).splitlines()[1] == f"medium: {texts['medium']}"
     with pytest.raises(ShardError, match="a caption whose lines do not begin with short:, medium:, full:"):
         read_captions("a skirt")
+    with pytest.raises(ConfigError, match="give one of short, medium, full"):
+        caption(*drawn(WOMAN, meta={"upper": "Shirt"}), level="long")
 
 
 @pytest.mark.parametrize(
@@ -286,3 +322,253 @@ def length_ratio(pattern: Pattern, parts: dict[str, str], one: str, other: str) 
             if (parts[a.panel], parts[b.panel]) == (one, other):
                 total += [lengths[a.panel][a.edge], lengths[b.panel][b.edge]]
     return float(total[0] / total[1]) if total[1] else 1.0
+
+
+BARE, SLEEVE = {"enable_asym": True, "shirt": {"strapless": True}}, {"sleeveless": False, "length": 0.3}
+ALONE = (
+    {"strapless", "one-shoulder"},
+    {"sleeveless", "short sleeves", "long sleeves", "uneven sleeves"},
+    {"round neck", "v-neck", "square neck", "curved neck", "uneven neck"},
+)
+"""Tags of which a garment has at most one."""
+SKIRT, SHIRT = {"upper": None, "bottom": "SkirtCircle"}, {"upper": "Shirt", "bottom": None}
+FLARED = {"circle skirt", "half-circle skirt", "a-line skirt"}
+
+
+def test_a_maxi_reaches_below_four_fifths_of_hips_to_floor(wardrobe: list[Worn]) -> None:
+    """Measured on the pattern: the skirt from waist to hem is longer than waist to hips and 0.8 of the leg."""
+    skirts = [worn for worn in wardrobe if worn.design.meta.bottom and not worn.design.meta.upper]
+    maxis = [worn for worn in skirts if "maxi" in garment_tags(*worn)]
+    assert maxis
+    assert all(hem_depth(worn.size, worn.design) > 0.8 for worn in maxis)
+    pencil = design_from_dict({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"length": 0.9, "flare": 1.0}})
+    pattern = outfit(WOMAN, pencil)
+    front = pattern.panel("skirt_front")
+    assert "maxi" in garment_tags(WOMAN, pencil, pattern)
+    assert np.ptp(front.vertices[:, 1]) > WOMAN.hips_line + 0.8 * WOMAN.leg_length
+
+
+FLAT_SIDES = {"f_collar": "TrapezoidNeckHalf", "fc_angle": 110, "fc_depth": 1.6, "width": -0.3}
+STEEP_SIDES = FLAT_SIDES | {"fc_angle": 90, "fc_depth": 0.4, "width": 0.3}
+GATHERED = {"meta": {"bottom": "Skirt2", "wb": "StraightWB"}, "skirt": {"ruffle": 1.5, "rise": 1.0}}
+SLITS = {"front_slit": 0.5, "left_slit": 0.5}
+BASES = {"godet_skirt": {"base": "PencilSkirt"}, "levels_skirt": {"base": "PencilSkirt"}}
+CUFF = {"type": "CuffSkirt", "top_ruffle": 1.4, "skirt_ruffle": 1.4}  # a skirt, gathered as much as the sleeve would be
+WIDE_SLEEVE = {"sleeveless": False, "length": 0.8, "end_width": 1.0}
+NECK = {"f_collar": "VNeckHalf", "b_collar": "CircleNeckHalf", "width": 0.3}
+HALVES = {"meta": SHIRT, "collar": NECK, "shirt": {"width": 1.0}}
+LEFT = {"enable_asym": True, "sleeve": {"sleeveless": True}, "collar": NECK, "shirt": {"width": 1.0}}
+NAMES: list[tuple[dict[str, Any], set[str]]] = [
+    ({"meta": SHIRT}, {"top", "shirt", "sleeveless", "round neck"}),
+    ({"meta": SHIRT, "collar": {"f_collar": "VNeckHalf"}}, {"v-neck"}),
+    ({"meta": SHIRT, "collar": {"component": {"style": "Hood2Panels"}}}, {"hooded"}),
+    ({"meta": SHIRT, "left": {"enable_asym": True}}, {"asymmetric"}),
+    ({"meta": SHIRT, "sleeve": {"sleeveless": False, "length": 0.9}}, {"long sleeves"}),
+    ({"meta": {"upper": "FittedShirt"}, "shirt": {"strapless": True}}, {"fitted bodice", "strapless"}),
+    ({"meta": {"upper": "FittedShirt"}, "left": BARE}, {"fitted bodice", "one-shoulder", "sleeveless"}),
+    ({"meta": {"upper": "FittedShirt"}, "left": BARE, "sleeve": SLEEVE}, {"one-shoulder", "uneven sleeves"}),
+    ({"meta": SHIRT, "left": {"enable_asym": True}, "sleeve": SLEEVE}, {"uneven sleeves", "round neck"}),
+    ({"meta": SHIRT, "left": {"enable_asym": True, "sleeve": SLEEVE}, "sleeve": SLEEVE}, {"short sleeves"}),
+    (
+        {"meta": SHIRT, "left": {"enable_asym": True, "sleeve": SLEEVE | {"length": 0.9}}, "sleeve": SLEEVE},
+        {"uneven sleeves"},
+    ),
+    ({"meta": SHIRT, "left": {"enable_asym": True, "collar": {"f_collar": "VNeckHalf"}}}, {"uneven neck"}),
+    ({"meta": {"upper": "Shirt", "bottom": "Pants"}}, {"jumpsuit", "trousers"}),
+    ({"meta": {"bottom": "Pants", "wb": "StraightWB"}}, {"trousers", "with waistband"}),
+    ({"meta": {"bottom": "PencilSkirt"}}, {"pencil skirt"}),
+    ({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"flare": 1.3}}, {"a-line skirt"}),
+    ({"meta": {"bottom": "Skirt2", "wb": "StraightWB"}, "skirt": {"ruffle": 1.5}}, {"gathered skirt", "ruffled"}),
+    (
+        {"meta": {"bottom": "SkirtLevels"}, "levels-skirt": {"base": "SkirtCircle"}},
+        {"tiered skirt", "circle skirt"},
+    ),
+    ({"meta": {"bottom": "AsymmSkirtCircle"}}, {"circle skirt", "asymmetric"}),
+    ({"meta": {"upper": "Cape"}}, {"top", "cape"}),
+]
+STYLES: list[tuple[dict[str, Any], set[str], set[str]]] = [
+    *((values, named, set[str]()) for values, named in NAMES),
+    *(
+        ({"meta": SKIRT, "flare_skirt": {"suns": suns}}, {"skirt", tag}, FLARED - {tag})
+        for suns, tag in ((1.0, "circle skirt"), (0.5, "half-circle skirt"), (0.25, "a-line skirt"))
+    ),
+    *(
+        ({"meta": SKIRT, "flare_skirt": {"length": length}}, {tag}, set())
+        for length, tag in ((0.2, "mini"), (0.5, "knee-length"), (0.7, "midi"), (0.9, "maxi"))
+    ),
+    # A base that is sewn without its slits, and a slit too short to see.
+    ({"meta": {"bottom": "PencilSkirt"}, "pencil_skirt": SLITS}, {"slit"}, set()),
+    ({"meta": {"bottom": "GodetSkirt"}, "pencil_skirt": SLITS, **BASES}, {"pencil skirt"}, {"slit"}),
+    ({"meta": {"bottom": "SkirtLevels"}, "pencil_skirt": SLITS, **BASES}, {"pencil skirt"}, {"slit"}),
+    ({"meta": {"bottom": "PencilSkirt"}, "pencil_skirt": {"back_slit": 0.01}}, set(), {"slit"}),
+    # On a band as long as its top, a skirt declared with gathers hangs straight.
+    ({**GATHERED, "waistband": {"waist": 1.0}}, {"gathered skirt", "ruffled"}, set()),
+    ({**GATHERED, "waistband": {"waist": 1.5}}, {"straight skirt"}, {"gathered skirt", "ruffled"}),
+    # Flat sides meet in the middle before they reach the depth; an arc may bulge inwards.
+    ({"meta": SHIRT, "collar": FLAT_SIDES}, {"v-neck"}, {"square neck"}),
+    ({"meta": SHIRT, "collar": STEEP_SIDES}, {"square neck"}, {"v-neck"}),
+    ({"meta": SHIRT, "collar": {"f_collar": "CircleArcNeckHalf"}}, {"round neck"}, set()),
+    ({"meta": SHIRT, "collar": {"f_collar": "CircleArcNeckHalf", "f_flip_curve": True}}, set(), {"round neck"}),
+    ({"meta": {"upper": "FittedShirt"}, "shirt": {"strapless": True}}, set(), {"round neck", "v-neck", "sleeveless"}),
+    ({"meta": SHIRT, "left": LEFT | {"sleeve": SLEEVE}}, {"uneven sleeves"}, {"sleeveless"}),
+    ({"meta": SHIRT | {"wb": "StraightWB"}}, set(), {"with waistband"}),
+    ({"meta": {"upper": "Shirt", "bottom": "Pants", "wb": "StraightWB"}}, {"with waistband"}, set()),
+    ({"meta": SHIRT, "sleeve": WIDE_SLEEVE | {"cuff": CUFF}}, set(), {"ruffled"}),
+    ({"meta": SHIRT, "sleeve": WIDE_SLEEVE | {"cuff": CUFF | {"skirt_ruffle": 1.0}}}, {"ruffled"}, set()),
+    ({**HALVES, "left": LEFT}, set(), {"asymmetric"}),
+    ({**HALVES, "left": LEFT | {"collar": NECK | {"width": 0.7}}}, {"asymmetric"}, set()),
+]
+
+
+@pytest.mark.parametrize(("values", "named", "others"), STYLES)
+def test_tags_and_captions_name_what_is_drawn_and_not_what_is_declared(
+    values: dict[str, Any], named: set[str], others: set[str]
+) -> None:
+    worn = drawn(WOMAN, **values)
+    found = set(garment_tags(*worn))
+    assert named <= found
+    assert not others & found
+    agree_with_the_caption(worn, 0)
+
+
+def test_every_outfit_has_one_kind_and_words_of_the_vocabulary(wardrobe: list[Worn]) -> None:
+    for worn in wardrobe:
+        found = garment_tags(*worn)
+        assert set(found) <= set(TAGS)
+        assert list(found) == sorted(set(found), key=TAGS.index)
+        assert len({"top", "dress", "jumpsuit", "skirt"} & set(found)) == (0 if found[0] == "trousers" else 1)
+        assert all(len(group & set(found)) <= 1 for group in ALONE)
+
+
+# ------------------------------------------------------------------------------------------------------- drawn pattern
+
+
+def test_five_tiers_of_the_least_length_hang_lower_than_declared() -> None:
+    """The tiers declare 2 cm each and are drawn 5 cm long: the hem is at least 15 cm lower."""
+    section = {"length": 0.3, "base_length_frac": 0.6, "num_levels": 5, "base": "SkirtCircle", "level": "Skirt2"}
+    worn = drawn(WOMAN, meta={"bottom": "SkirtLevels"}, levels_skirt=section)
+    tiers = [np.ptp(worn.pattern.panel(f"skirt_front_{number}").vertices[:, 1]) for number in range(5)]
+    assert np.allclose(tiers, 5.0)
+    assert 0.3 + 15 / WOMAN.leg_length < hem_depth(WOMAN, worn.design)
+    assert "mini" not in garment_tags(*worn)
+
+
+# ------------------------------------------------------------------------------------------------------------- captions
+
+
+def longest_ratio(pattern: Pattern) -> float:
+    """Largest ratio of the two sides of a seam."""
+    lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
+    sides = [
+        [lengths[ref.panel][ref.edge] for ref in (seam.left, seam.right)]
+        for seam in pattern.seams
+        if seam.left.panel != seam.right.panel
+    ]
+    return max(max(pair) / min(pair) for pair in sides)
+
+
+def front_necklines(pattern: Pattern) -> list[tuple[str, ...]]:
+    """The kinds of curve of each half of the neckline in front."""
+    fronts = [panel for panel in pattern.panels if panel.name.endswith("_ftorso")]
+    return [tuple(type(edge.curve).__name__ for edge in panel.edges if edge.name == "neck") for panel in fronts]
+
+
+def drawn_features(worn: Worn) -> Mapping[str, bool]:
+    """Tag to whether the pattern has its feature, by panels, edges and seams alone."""
+    names, found = " ".join(panel.name for panel in worn.pattern.panels), edges(worn.pattern)
+    darts = {seam.left.panel for seam in worn.pattern.seams if seam.left.panel == seam.right.panel}
+    bare = {"shoulder" not in {edge.name for edge in panel.edges} for panel in worn.pattern.panels
+            if panel.name.endswith("ftorso")}  # fmt: skip
+    sleeves = names.count("sleeve_f")
+    sleeve, torso, necks = "sleeve_f" in names, "torso" in names, front_necklines(worn.pattern)
+    seams = longest_ratio(worn.pattern)
+    return {
+        "fitted bodice": "right_ftorso" in darts,
+        "shirt": torso and "right_ftorso" not in darts,
+        "trousers": "pant_f_r" in names,
+        "jumpsuit": "pant_f_r" in names and torso,
+        "dress": "skirt" in names.replace("cuff_skirt", "") and torso,
+        "pencil skirt": bool(found & {"right_hip"}),
+        "panelled skirt": "skirt_panel_3" in names,
+        "godet skirt": "ins_skirt_front_0" in names,
+        "tiered skirt": "skirt_front_0" in names,
+        "slit": bool(found & {"slit", "right_slit", "left_slit", "hem_cut"}),
+        "with waistband": "wb_front" in names and any(panel.label == PanelRole.LEG for panel in worn.pattern.panels),
+        "strapless": bare == {True},
+        "one-shoulder": bare == {True, False},
+        "sleeveless": not sleeve,
+        "short sleeves": sleeves == 2,
+        "long sleeves": sleeves == 2,
+        "uneven sleeves": sleeve,
+        "with cuffs": "cuff" in names,
+        "round neck": ("Arc",) in necks,
+        "v-neck": ("Line",) in necks,
+        "square neck": ("Line", "Line") in necks,
+        "curved neck": bool(set(necks) & {("Arc",), ("Cubic",), ("Quadratic",)}),
+        "turtleneck": "collar_front" in names,
+        "lapel": "collar_front" in names,
+        "hooded": "hood" in names,
+        "gathered skirt": seams >= 1.2,
+        "ruffled": seams >= 1.2,
+    }  # fmt: skip
+
+
+LENGTHS = {
+    "mini": "mini|above-the-knee|very short|playsuit|short jumpsuit",
+    "knee-length": "above-the-knee|knee-length|below-the-knee|cropped|calf-length|playsuit|short jumpsuit",
+    "midi": "midi|mid-calf|cropped|calf-length",
+    "maxi": "maxi|full-length|long",
+}
+STATED = LENGTHS | {
+    "dress": "dress", "jumpsuit": "jumpsuit|playsuit", "trousers": "trousers|shorts", "cape": "cape",
+    "poncho": "poncho", "fitted bodice": "fitted (bodice|top|tunic)|fitted [a-z -]*(bodice|top|tunic)",
+    "a-line skirt": "A-line skirt|slightly flared skirt", "half-circle skirt": "half-circle skirt",
+    "circle skirt": "circle skirt", "pencil skirt": "pencil skirt", "straight skirt": "straight skirt",
+    "gathered skirt": "gathered (A-line )?skirt", "panelled skirt": "-panel|panels", "godet skirt": "godets",
+    "tiered skirt": "tiers?", "slit": "slits?|notch|V-shaped cut", "with waistband": "waistband",
+    "strapless": "strapless", "one-shoulder": "one-shoulder",
+    "uneven sleeves": "sleeve[a-z, -]* on the (right|left)", "uneven neck": "on the right and",
+    "short sleeves": "(cap|short|elbow-length) [a-z ]*sleeves?",
+    "long sleeves": "(three-quarter|three-quarter-length|long|full-length|extra-long) [a-z ]*sleeves?",
+    "with cuffs": "cuffs?|frills?", "round neck": "round|scoop", "v-neck": "V-neckline|V-shaped",
+    "square neck": "square|trapezoid", "curved neck": "U-shaped|curved|inward-curving|curved V|curved V-neckline",
+    "turtleneck": "turtleneck|standing collar", "lapel": "lapels?", "hooded": "hood",
+    "asymmetric": "asymmetric|one-shoulder|off-centre|off centre|high-low|longer behind",
+}  # fmt: skip
+"""Tag to words of which the full caption has one."""
+MUTUAL = {
+    "slit", "gathered skirt", "straight skirt", "godet skirt", "tiered skirt", "strapless", "lapel", "with waistband",
+    "hooded", "asymmetric", "panelled skirt", "pencil skirt", "dress", "one-shoulder", "with cuffs",
+}  # fmt: skip
+"""Tags that a garment has if its full caption has one of the words."""
+
+
+def test_every_tag_is_supported_by_the_drawn_pattern(wardrobe: list[Worn]) -> None:
+    seen: set[str] = set()
+    for worn in wardrobe:
+        found, features = garment_tags(*worn), drawn_features(worn)
+        assert not [tag for tag in found if not features.get(tag, True)], (found, worn.captions()["full"])
+        seen.update(found)
+    assert seen == set(TAGS)
+
+
+def test_tags_agree_with_the_full_caption(wardrobe: list[Worn]) -> None:
+    for number, worn in enumerate(wardrobe):
+        agree_with_the_caption(worn, number)
+
+
+def agree_with_the_caption(worn: Worn, number: int) -> None:
+    found, full = garment_tags(*worn), worn.captions(number)["full"].replace("no waistband", "")
+    for tag, words in STATED.items():
+        says = re.search(rf"(?<![\w-])({words})(?![\w-])", full, re.IGNORECASE) is not None
+        assert says or tag not in found, (tag, full)
+        assert tag in found or not says or tag not in MUTUAL, (tag, full)
+    assert ("sleeveless" in full.lower()) <= ("sleeveless" in found)
+    assert "gather" not in full.replace("gathered frills", "") or "ruffled" in found, full
+    assert "asymmetric" in found or "differ" not in full
+
+
+def test_the_documentation_lists_every_tag_with_its_meaning() -> None:
+    listed = (Path(__file__).parents[3] / "docs" / "labels.md").read_text()
+    rows = [line for line in listed.splitlines() if line.startswith("| `")]
+    assert rows == [f"| `{tag.value}` | {tag.meaning} |" for tag in Tag]

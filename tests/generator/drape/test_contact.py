@@ -1,11 +1,11 @@
-"""Contacts of cloth with bodies and with cloth: distances, friction, momentum, crossings."""
+"""Contacts of cloth with bodies and with cloth: distances, friction, momentum, crossings and their removal."""
 
 import gc
 import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
+from itertools import pairwise
 from unittest.mock import Mock
 
 import numpy as np
@@ -16,12 +16,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import Float
 
-from gcd_dataset.generator.body import build_body, neutral_shape, read_body
+from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
 from gcd_dataset.generator.drape.body_field import HostField, body_field, body_fields, host_field
+from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.outcome import untangle
 from gcd_dataset.generator.drape.solver import Solver
-from gcd_dataset.records import Body, BodyPart, EdgeRole
+from gcd_dataset.records import Body, BodyPart, EdgeRole, Measurements
 from tests.generator.drape.probes import crossing_kernel, nearest_kernel
 from tests.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
 from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube
@@ -35,7 +37,7 @@ QUICK = DrapeConfig(
 
 
 def test_nearest_point_of_a_triangle() -> None:
-    points = np.random.default_rng(0).standard_normal((500, 4, 3)).astype(np.float32)
+    points = np.random.default_rng(0).standard_normal((100, 4, 3)).astype(np.float32)
     weights = wp.zeros(len(points), dtype=wp.vec3, device="cpu")
     wp.launch(nearest_kernel, len(points), [wp.array(points, dtype=wp.vec3, device="cpu"), weights], device="cpu")
     found = np.einsum("nk,nkd->nd", weights.numpy(), points[:, 1:])
@@ -44,15 +46,15 @@ def test_nearest_point_of_a_triangle() -> None:
 
 
 def test_segment_through_a_triangle() -> None:
-    points = np.random.default_rng(1).standard_normal((500, 5, 3)).astype(np.float32)
+    points = np.random.default_rng(1).standard_normal((200, 5, 3)).astype(np.float32)
     crosses = wp.zeros(len(points), dtype=wp.bool, device="cpu")
     wp.launch(crossing_kernel, len(points), [wp.array(points, dtype=wp.vec3, device="cpu"), crosses], device="cpu")
     expected = [segment_crosses_triangle(p[0], p[1], p[2:]) for p in points.astype(float)]
-    assert 20 < sum(expected) < 480
+    assert 8 < sum(expected) < 192
     assert list(crosses.numpy()) == expected
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(radius=st.floats(6.0, 15.0))
 def test_the_field_of_a_ball_is_the_distance_to_it(radius: float) -> None:
     field = body_field(body_from(trimesh.creation.icosphere(subdivisions=4, radius=radius)), "cpu")
@@ -80,13 +82,6 @@ def test_each_of_several_bodies_has_its_own_field() -> None:
         assert np.abs(field.distance.numpy() - np.minimum(expected, 4.0)).max() < 1e-3
 
 
-def test_the_field_of_a_shared_body_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = body_from(trimesh.creation.icosphere(subdivisions=2, radius=7.7))
-    monkeypatch.setattr(HostField, "of", of := Mock(wraps=HostField.of))
-    body_fields([body] * 3, "cpu")
-    of.assert_called_once()
-
-
 def test_ears_fingers_and_toes_get_hulls_where_the_parts_have_no_head_hands_and_feet() -> None:
     """GarmentCode's segmentation counts hands as arms, feet as legs and the head as trunk."""
     body = build_body(neutral_shape())
@@ -102,9 +97,6 @@ def test_ears_fingers_and_toes_get_hulls_where_the_parts_have_no_head_hands_and_
     for points, planes in zip(known.extremities, found.planes, strict=True):
         end = points[np.abs(points[:, 0]) > np.percentile(np.abs(points[:, 0]), 90)]  # fingers, small toes, ears
         assert (end @ planes[:, :3].T + planes[:, 3]).max() < 0.1
-
-
-def test_a_ball_has_no_hulls() -> None:
     assert HostField.of(far_ball()).planes == ()
 
 
@@ -187,10 +179,8 @@ def test_eyes_and_mouth_of_our_body_are_closed_to_cloth() -> None:
     check_closed_to_cloth(build_body(neutral_shape()))
 
 
-def test_eyes_and_mouth_of_a_published_body_are_closed_to_cloth(examples: Path) -> None:
-    mesh = examples / "bodies" / "mean_female.obj"
-    body, _ = read_body(mesh, mesh.with_suffix(".yaml"), examples / "bodies" / "ggg_body_segmentation.json")
-    check_closed_to_cloth(body)
+def test_eyes_and_mouth_of_a_published_body_are_closed_to_cloth(published: tuple[Body, Measurements]) -> None:
+    check_closed_to_cloth(published[0])
 
 
 @pytest.mark.parametrize(("friction", "stays"), [(0.52, True), (0.42, False)])
@@ -295,8 +285,8 @@ def test_layers_that_touch_exchange_momentum() -> None:
 def test_the_contact_search_lists_all_near_pairs() -> None:
     """Points and faces of two crumpled sheets nearer than the margin, compared with a brute-force search."""
     rng = np.random.default_rng(3)
-    lower = patch(9, 9, place=LYING, origin=(0.0, 100.0, 0.0))
-    upper = patch(8, 8, spacing=1.05, place=LYING, origin=(0.3, 100.35, -0.2))
+    lower = patch(6, 6, place=LYING, origin=(0.0, 100.0, 0.0))
+    upper = patch(5, 5, spacing=1.05, place=LYING, origin=(0.3, 100.35, -0.2))
     mesh = joined(lower, upper)
     mesh = replace(mesh, vertices=mesh.vertices + 0.12 * rng.standard_normal(mesh.vertices.shape))
     config = DrapeConfig(sewing_time=1e6)
@@ -319,7 +309,7 @@ def test_the_contact_search_lists_all_near_pairs() -> None:
         and away[i, row] < 3.0 + config.contact_margin
         and np.linalg.norm(point - closest_on_triangle(point, mesh.vertices[face])) < config.contact_margin - 1e-4
     }
-    assert len(near) > 100
+    assert len(near) > 40
     assert near <= found
 
 
@@ -394,3 +384,97 @@ def test_cloth_collides_with_the_convex_hull_of(part: Callable[[Body], Float[np.
     outside = (centres[near] @ hull.face_normals.T - offset).max(axis=1)
     assert (outside < -0.5).sum() > 20
     assert (distance[tuple(voxels[near].T)] <= outside + 0.05).all()
+
+
+CORNER_FIRST = np.array([[0.1, 0.1], [0.7, -0.7], [0.7, 0.7]])
+CONFIG = DrapeConfig(untangling_steps=60)
+
+
+def pierced() -> DrapeJob:
+    """A sheet that the corner of another sheet pierces."""
+    sheet = patch(12, 12, origin=(-6.0, 94.0, 0.0))
+    return DrapeJob(joined(sheet, patch(6, 6, place=CORNER_FIRST, origin=(0.0, 100.0, -1.7))), far_ball(), SIZE)
+
+
+def clean() -> DrapeJob:
+    """Two sheets 3 cm apart."""
+    lower = patch(8, 8, place=LYING, origin=(-4.0, 100.0, 4.0))
+    return DrapeJob(joined(lower, patch(8, 8, place=LYING, origin=(-4.0, 103.0, 4.0))), far_ball(), SIZE)
+
+
+def solver_of(*jobs: DrapeJob) -> Solver:
+    return Solver(build_model(list(jobs), CONFIG, "cpu"), CONFIG)
+
+
+def untangled(*jobs: DrapeJob) -> list[Float[np.ndarray, "v 3"]]:
+    """The positions of each garment after the phase; garments without crossings skip it."""
+    solver = solver_of(*jobs)
+    untangle(solver, solver.self_crossings() > 0)
+    x = solver.state.x.numpy()
+    return [x[a:b].copy() for a, b in pairwise(solver.model.topology.vertex_offset)]
+
+
+def test_a_corner_leaves_the_sheet_that_it_pierces() -> None:
+    solver = solver_of(pierced())
+    assert solver.self_crossings()[0] > 3
+    untangle(solver, np.ones(1, bool))
+    assert solver.self_crossings()[0] == 0
+
+
+def test_a_garment_gets_the_same_bytes_alone_and_in_a_batch() -> None:
+    alone = untangled(pierced())[0]
+    still, *moved = untangled(clean(), pierced(), pierced())
+    assert still.tobytes() == np.float32(clean().box_mesh.vertices).tobytes()
+    assert (alone != np.float32(pierced().box_mesh.vertices)).any()
+    assert all(x.tobytes() == alone.tobytes() for x in moved)
+
+
+def test_untangling_never_adds_crossings() -> None:
+    solver = solver_of(pierced())
+    before = solver.self_crossings()[0]
+    for steps in (1, 2, 5):
+        solver = Solver(solver.model, DrapeConfig(untangling_steps=steps))
+        untangle(solver, np.ones(1, bool))
+        assert solver.self_crossings()[0] <= before
+
+
+def test_pushes_of_crossings_sum_to_zero() -> None:
+    """Edge and face get opposite forces."""
+    solver = solver_of(pierced())
+    m, s = solver.model, solver.state
+    phase = kernels.Untangling()
+    phase.crossing_stiffness, phase.crossing_move = 0.5, 1.0
+    bvh, roots = solver.refitted_bvh()
+    counts = wp.zeros(1, dtype=int, device="cpu")
+    inputs = [m.cloth, bvh, roots, phase, wp.ones(1, dtype=int, device="cpu"), s.x]
+    solver.launch(kernels.push_crossings, m.n_edges, inputs, [counts, s.push])
+    push = s.push.numpy()[:, :3].astype(np.int64)
+    assert counts.numpy()[0] == solver.self_crossings()[0]
+    assert np.abs(push).sum() > 0
+    assert np.abs(push.sum(axis=0)).max() <= 5 * len(push)  # each term is rounded to units of 6e-8 cm
+
+
+def test_the_matrix_is_symmetric_and_positive_definite() -> None:
+    """Also with compressed springs: the conjugate gradient method needs both properties."""
+    solver = solver_of(clean())
+    m, s = solver.model, solver.state
+    x = s.x.numpy()
+    s.x.assign(x + np.random.default_rng(0).normal(0.0, 0.1, x.shape).astype(np.float32))
+    phase = kernels.Untangling()
+    phase.step = 1.0 / 120.0
+    active = wp.ones(1, dtype=int, device="cpu")
+    solve = kernels.Solve()
+    for name in ("residual", "move", "direction", "image"):
+        setattr(solve, name, wp.zeros(m.n_vertices, dtype=wp.vec3, device="cpu"))
+    solve.diagonal, solve.product = (wp.zeros(m.n_vertices, dtype=float, device="cpu") for _ in range(2))
+    solve.inverse = wp.zeros(m.n_vertices, dtype=wp.mat33, device="cpu")
+    s.push.zero_()
+    solver.launch(kernels.assemble, m.n_vertices, [m.worlds, m.cloth, m.rows, phase, active, s.x], [s.push, solve])
+    columns = []
+    for unit in np.eye(3 * m.n_vertices, dtype=np.float32):
+        solve.direction.assign(unit.reshape(-1, 3))
+        solver.launch(kernels.multiply, m.n_vertices, [m.cloth, m.rows, active, s.x], [solve])
+        columns.append(solve.image.numpy().ravel().copy())
+    matrix = np.stack(columns, axis=1).astype(float)
+    assert np.abs(matrix - matrix.T).max() < 1e-4 * np.abs(matrix).max()
+    assert np.linalg.eigvalsh(0.5 * (matrix + matrix.T)).min() > 0.0

@@ -1,9 +1,9 @@
-"""The kernel cache, log lines about waiting, and cancelled drapes."""
+"""The kernel cache, log lines about waiting, cancelled drapes, and the signatures of kernels."""
 
+import ast
 import os
+import re
 import stat
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Generator, Iterator
@@ -28,27 +28,20 @@ from gcd_dataset.generator.drape.solver import Solver
 from tests.helpers import SIZE, far_ball, patch
 
 
-def started(home: Path | str, code: str) -> subprocess.CompletedProcess[str]:
-    """Run ``code`` in a new interpreter with another home folder."""
-    bare = {key: value for key, value in os.environ.items() if key not in ("WARP_CACHE_PATH", "XDG_CACHE_HOME")}
-    environment = {**bare, "HOME": str(home), "TMPDIR": str(home) if Path(home).is_dir() else "/tmp"}
-    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
-
-
-START = "from gcd_dataset.generator.drape import resolve_device; print(resolve_device('cpu'), resolve_device('cpu'))"
-
-
-def test_kernels_go_to_a_temporary_folder_if_the_home_cannot_be_written(tmp_path: Path) -> None:
+def test_kernels_go_to_a_temporary_folder_if_the_home_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     """A single warning names the folder and ``WARP_CACHE_PATH``."""
-    home = tmp_path / "home"
-    home.mkdir()
-    (home / ".cache").write_text("no folder")
-    done = started(home, START)
-    assert (done.returncode, done.stdout) == (0, "cpu cpu\n"), done.stderr
-    [line] = done.stderr.splitlines()
-    kept = home / f"gcd_dataset-kernels-{os.getuid()}"
+    (tmp_path / ".cache").write_text("no folder")
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / ".cache"))
+    monkeypatch.setattr(wp, "init", lambda: None)
+    devices._init_warp.__wrapped__()
+    kept = tmp_path / f"gcd_dataset-kernels-{os.getuid()}"
+    [line] = [record.getMessage() for record in caplog.records]
     assert line.startswith(f"compiled kernels are kept in {kept}")
     assert "WARP_CACHE_PATH" in line
+    assert wp.config.kernel_cache_dir == str(kept)
     assert stat.S_IMODE(kept.stat().st_mode) == 0o700
 
 
@@ -129,3 +122,68 @@ def test_a_copy_to_the_host_does_not_depend_on_captures_of_other_threads(monkeyp
     monkeypatch.undo()
     ones.fill_(2)
     assert found.tolist() == [1, 1, 1]
+
+
+KERNELS = Path(__file__).resolve().parents[3] / "generator" / "drape" / "kernels"
+WRITERS = ("atomic_add", "atomic_max", "atomic_min", "atomic_cas", "atomic_exch")
+MOST_ARGUMENTS = 14
+PASSES = {"add_push": 0, "add_weight": 0, "take_push": 0, "take_contact_weight": 0, "mark": 1, "take_slot": 0}
+"""Device function to the index of the argument that it writes."""
+
+
+def kernels() -> list[tuple[str, ast.FunctionDef, list[str]]]:
+    """Name, syntax tree and source lines of every kernel."""
+    return [
+        (f"{path.stem}.{node.name}", node, path.read_text().splitlines())
+        for path in sorted(KERNELS.glob("*.py"))
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.FunctionDef) and any(ast.unparse(d) == "wp.kernel" for d in node.decorator_list)
+    ]
+
+
+def groups_of(kernel: ast.FunctionDef, lines: list[str]) -> dict[str, str]:
+    """The comment above each argument."""
+    groups, group, argument_lines = {}, "", {arg.lineno: arg.arg for arg in kernel.args.args}
+    for number in range(kernel.lineno, kernel.body[0].lineno):
+        if comment := re.fullmatch(r"\s*# (.*)", lines[number - 1]):
+            group = comment[1]
+        if number in argument_lines:
+            groups[argument_lines[number]] = group
+    return groups
+
+
+def root_of(node: ast.expr) -> str:
+    """The variable of an expression like ``a.b[i]``."""
+    while isinstance(node, ast.Subscript | ast.Attribute):
+        node = node.value
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+def written_by(kernel: ast.FunctionDef) -> set[str]:
+    """Variables with elements that a kernel writes, directly or by ``atomic_…`` and the functions of ``PASSES``."""
+    found = set()
+    for node in ast.walk(kernel):
+        targets: list[ast.expr] = []
+        if isinstance(node, ast.Assign):
+            targets = [target for target in node.targets if isinstance(target, ast.Subscript)]
+        elif isinstance(node, ast.AugAssign):
+            targets = [node.target] if isinstance(node.target, ast.Subscript | ast.Attribute) else []
+        elif isinstance(node, ast.Call):
+            name = ast.unparse(node.func).rpartition(".")[2]
+            written = 0 if name in WRITERS else PASSES.get(name)
+            targets = [] if written is None else [node.args[written]]
+        found |= {root_of(target) for target in targets}
+    return found
+
+
+@pytest.mark.parametrize(("name", "kernel", "lines"), kernels(), ids=[name for name, *_ in kernels()])
+def test_kernels_have_few_arguments_and_written_ones_stand_under_out(
+    name: str, kernel: ast.FunctionDef, lines: list[str]
+) -> None:
+    assert len(kernel.args.args) <= MOST_ARGUMENTS, f"{name} has {len(kernel.args.args)} arguments"
+    groups = groups_of(kernel, lines)
+    written = written_by(kernel) & set(groups)
+    assert written <= {argument for argument, group in groups.items() if group.endswith("out")}, name
+    for argument in written:
+        if isinstance(node := next(a for a in kernel.args.args if a.arg == argument).annotation, ast.Name):
+            assert node.id not in ("Cloth", "World"), f"{name} writes the model"

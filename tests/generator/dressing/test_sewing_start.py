@@ -1,6 +1,8 @@
 """Start positions of sewing: wide skirts on a cone, wide bodices between the arms, tubes round arms and legs."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,20 +13,11 @@ from scipy.spatial import cKDTree
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
+from gcd_dataset.generator.dressing.rolled_sleeve import roll_round_limb
 from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_start
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
-from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb, roll_round_limb
-from gcd_dataset.generator.garments import GarmentDesign, draw_garment
-from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
-from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
-from gcd_dataset.generator.garments.design import MetaDesign
-from gcd_dataset.generator.garments.levels_skirt import Level, LevelsBase, LevelsSkirtDesign
-from gcd_dataset.generator.garments.pants import PantsDesign
-from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign
-from gcd_dataset.generator.garments.shirt import ShirtDesign
-from gcd_dataset.generator.garments.sleeve import SleeveDesign
-from gcd_dataset.generator.garments.waistband import Waistband
-from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
+from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
+from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
@@ -44,19 +37,22 @@ from gcd_dataset.records import (
 from tests.generator.drape.garments import neutral
 from tests.helpers import patch
 
-LEVELS = GarmentDesign(
-    meta=MetaDesign(upper=None, wb=Waistband.STRAIGHT, bottom=Bottom.LEVELS),
-    levels_skirt=LevelsSkirtDesign(base=LevelsBase.CIRCLE, level=Level.CIRCLE, num_levels=3, level_ruffle=1.5),
-)
-CIRCLE = GarmentDesign(
-    meta=MetaDesign(upper=Upper.SHIRT, bottom=Bottom.CIRCLE), flare_skirt=FlareSkirtDesign(length=0.6, suns=1.5)
-)
-PENCIL = GarmentDesign(meta=MetaDesign(upper=None, bottom=Bottom.PENCIL), pencil_skirt=PencilSkirtDesign(length=0.4))
-WIDE_SHIRT = GarmentDesign(meta=MetaDesign(upper=Upper.SHIRT), shirt=ShirtDesign(width=1.3, length=1.5, flare=1.5))
+LEVELS = {
+    "meta": {"upper": None, "wb": "StraightWB", "bottom": "SkirtLevels"},
+    "levels-skirt": {"base": "SkirtCircle", "level": "SkirtCircle", "num_levels": 3, "level_ruffle": 1.5},
+}
+CIRCLE = {"meta": {"upper": "Shirt", "bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.6, "suns": 1.5}}
+PENCIL = {"upper": None, "bottom": "PencilSkirt"}
+TROUSERS = {"meta": {"upper": None, "bottom": "Pants"}, "pants": {"length": 0.9, "flare": 0.6}}
+LONG_SLEEVES = {"sleeveless": False, "length": 1.15, "end_width": 0.5, "cuff": {"type": "CuffBand", "cuff_len": 0.1}}
 
 
-def mesh_of(design: GarmentDesign) -> BoxMesh:
-    return build_box_mesh(draw_garment(neutral()[1], design), spacing=2.5)
+def mesh_of(values: Mapping[str, Any]) -> BoxMesh:
+    return build_box_mesh(outfit(neutral()[1], design_from_dict(values)), spacing=2.5)
+
+
+def shirt(**sections: Mapping[str, Any]) -> BoxMesh:
+    return mesh_of({"meta": {"upper": "Shirt"}, **sections})
 
 
 def vertices_of(mesh: BoxMesh, role: PanelRole) -> Int[np.ndarray, " n"]:
@@ -70,7 +66,7 @@ def skin_of(*parts: BodyPart) -> Float[np.ndarray, "n 3"]:
 
 
 @pytest.mark.parametrize("design", [LEVELS, CIRCLE], ids=["levels", "circle"])
-def test_a_wide_skirt_lies_below_its_top_and_outside_the_body(design: GarmentDesign) -> None:
+def test_a_wide_skirt_lies_below_its_top_and_outside_the_body(design: Mapping[str, Any]) -> None:
     mesh = mesh_of(design)
     skirt = vertices_of(mesh, PanelRole.LEG)
     start = sewing_start(mesh, neutral()[0])[skirt]
@@ -118,18 +114,18 @@ def test_cloth_sewn_all_round_but_for_a_slit_is_no_tube() -> None:
     assert np.array_equal(placed, mesh.vertices)
 
 
-def test_a_narrow_skirt_starts_flat() -> None:
-    mesh = mesh_of(PENCIL)
+def test_a_narrow_skirt_starts_flat_and_one_with_room_for_the_feet_where_it_is_placed() -> None:
+    mesh = mesh_of({"meta": PENCIL, "pencil-skirt": {"length": 0.4}})
     assert np.array_equal(sewing_start(mesh, neutral()[0]), mesh.vertices)
-
-
-LONG_AND_NARROW = replace(PENCIL, pencil_skirt=PencilSkirtDesign(length=0.95, flare=0.8))
+    mesh = mesh_of({"meta": PENCIL, "pencil-skirt": {"length": 0.95, "flare": 1.5}})
+    skirt = vertices_of(mesh, PanelRole.LEG)
+    assert np.array_equal(sewing_start(mesh, neutral()[0])[skirt], mesh.vertices[skirt])
 
 
 @pytest.mark.parametrize("aside", [0.0, 9.0])
 def test_a_narrow_skirt_down_to_the_floor_starts_above_the_feet_and_round_both_legs(aside: float) -> None:
     """Sewn at the height of the feet, its side seams would close through them."""
-    mesh = mesh_of(LONG_AND_NARROW)
+    mesh = mesh_of({"meta": PENCIL, "pencil-skirt": {"length": 0.95, "flare": 0.8}})
     feet = skin_of(BodyPart.FEET)
     skirt = vertices_of(mesh, PanelRole.LEG)
     vertices = mesh.vertices + [aside, 0.0, 0.0]
@@ -143,15 +139,8 @@ def test_a_narrow_skirt_down_to_the_floor_starts_above_the_feet_and_round_both_l
         assert cloth.max() > skin.max()
 
 
-def test_a_skirt_with_room_for_the_feet_starts_where_the_pattern_places_it() -> None:
-    design = replace(LONG_AND_NARROW, pencil_skirt=PencilSkirtDesign(length=0.95, flare=1.5))
-    mesh = mesh_of(design)
-    skirt = vertices_of(mesh, PanelRole.LEG)
-    assert np.array_equal(sewing_start(mesh, neutral()[0])[skirt], mesh.vertices[skirt])
-
-
 def test_a_wide_bodice_without_sleeves_starts_between_the_arms() -> None:
-    mesh = mesh_of(WIDE_SHIRT)
+    mesh = shirt(shirt={"width": 1.3, "length": 1.5, "flare": 1.5})
     bodice = vertices_of(mesh, PanelRole.BODY)
     start = sewing_start(mesh, neutral()[0])
     arm = skin_of(BodyPart.LEFT_ARM)
@@ -166,10 +155,7 @@ def test_a_wide_bodice_without_sleeves_starts_between_the_arms() -> None:
 @pytest.mark.parametrize("degrees", [-20.0, 25.0])
 def test_a_sleeve_starts_round_an_arm_in_another_pose(degrees: float) -> None:
     """The sleeve is cut for the A-pose; the body holds its arms lower or higher."""
-    design = GarmentDesign(
-        meta=MetaDesign(upper=Upper.SHIRT), sleeve=SleeveDesign(sleeveless=False, length=0.8, end_width=0.6)
-    )
-    mesh = mesh_of(design)
+    mesh = shirt(sleeve={"sleeveless": False, "length": 0.8, "end_width": 0.6})
     body = build_body(replace(neutral_shape(), arm_angle=np.radians(degrees)))
     start = sewing_start(mesh, body)
     arm = limbs_of(body)[BodyPart.LEFT_ARM]
@@ -188,14 +174,6 @@ def test_a_sleeve_starts_round_an_arm_in_another_pose(degrees: float) -> None:
     assert beside(start[sleeve]) < 2.5
 
 
-LONG_SLEEVES = GarmentDesign(
-    meta=MetaDesign(upper=Upper.SHIRT),
-    sleeve=SleeveDesign(
-        sleeveless=False, length=1.15, end_width=0.5, cuff=SleeveCuffDesign(type=Cuff.BAND, cuff_len=0.1)
-    ),
-)
-
-
 def side_of(mesh: BoxMesh, role: PanelRole) -> Int[np.ndarray, " n"]:
     """The vertices of a role on the wearer's left."""
     vertices = vertices_of(mesh, role)
@@ -203,7 +181,7 @@ def side_of(mesh: BoxMesh, role: PanelRole) -> Int[np.ndarray, " n"]:
 
 
 def test_a_sleeve_longer_than_the_arm_starts_on_the_arm_and_not_round_the_hand() -> None:
-    mesh = mesh_of(LONG_SLEEVES)
+    mesh = shirt(sleeve=LONG_SLEEVES)
     sleeve = side_of(mesh, PanelRole.ARM)
     arm = limbs_of(neutral()[0])[BodyPart.LEFT_ARM]
     wrist = float((arm.skin @ arm.axis).max())
@@ -213,7 +191,7 @@ def test_a_sleeve_longer_than_the_arm_starts_on_the_arm_and_not_round_the_hand()
 
 def test_the_end_of_a_moved_sleeve_is_straight() -> None:
     """Its vertices start at one distance along the arm: cuffs were sewn with the hem of one panel before the wrist."""
-    mesh = mesh_of(LONG_SLEEVES)
+    mesh = shirt(sleeve=LONG_SLEEVES)
     start, arm = sewing_start(mesh, neutral()[0]), limbs_of(neutral()[0])[BodyPart.LEFT_ARM]
     cuffs = [name for name in mesh.panel_names if "left_cuff" in name]
     ends = []
@@ -226,9 +204,7 @@ def test_the_end_of_a_moved_sleeve_is_straight() -> None:
 
 
 def test_trouser_legs_start_round_the_legs_and_end_at_the_ankles() -> None:
-    design = GarmentDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, flare=0.6))
-    body = build_body(replace(neutral_shape(), legs_apart=True))
-    mesh = build_box_mesh(draw_garment(neutral()[1], design), spacing=2.5)
+    body, mesh = build_body(replace(neutral_shape(), legs_apart=True)), mesh_of(TROUSERS)
     start = sewing_start(mesh, body)
     leg = leg_of(body, BodyPart.LEFT_LEG)
     assert leg is not None
@@ -243,12 +219,8 @@ def test_trouser_legs_start_round_the_legs_and_end_at_the_ankles() -> None:
 
 
 def test_the_lowest_point_of_an_armhole_starts_under_the_arm() -> None:
-    design = GarmentDesign(
-        meta=MetaDesign(upper=Upper.SHIRT),
-        shirt=ShirtDesign(width=1.3, length=1.3, flare=1.4),
-        sleeve=SleeveDesign(sleeveless=True, connecting_width=1.0),
-    )
-    mesh = mesh_of(design)
+    sleeves = {"sleeveless": True, "connecting_width": 1.0}
+    mesh = shirt(shirt={"width": 1.3, "length": 1.3, "flare": 1.4}, sleeve=sleeves)
     body = build_body(replace(neutral_shape(), arm_angle=np.radians(-25.0)))
     armhole = mesh.labels[EdgeRole.LEFT_ARMHOLE]
     lowest = armhole[np.argmin(mesh.vertices[armhole, 1])]
@@ -260,10 +232,9 @@ def test_the_lowest_point_of_an_armhole_starts_under_the_arm() -> None:
 
 def test_trousers_before_a_seated_wearer_start_at_finite_positions() -> None:
     """The thighs point forward, so that the legs have no side-by-side heights."""
-    design = GarmentDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, flare=0.6))
     standing = build_body(replace(neutral_shape(), legs_apart=True))
     forward = standing.vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
-    start = sewing_start(mesh_of(design), replace(standing, vertices=forward))
+    start = sewing_start(mesh_of(TROUSERS), replace(standing, vertices=forward))
     assert np.isfinite(start).all()
 
 
@@ -399,16 +370,13 @@ def strip() -> tuple[BoxMesh, FlatCloth]:
     return mesh, FlatCloth.of(mesh, np.ones(len(mesh.faces), bool))
 
 
-def test_a_harmonic_function_between_the_ends_of_a_strip_is_linear() -> None:
+def test_a_harmonic_function_between_the_ends_of_a_strip_is_linear_and_keeps_the_bounds_of_its_border() -> None:
     """Up to 0.003: the cotangent weights of right angles are 0, and are raised to ``LEAST_WEIGHT``."""
     mesh, cloth = strip()
     along = mesh.uv[:, 0]
     ends = np.flatnonzero((along == along.min()) | (along == along.max()))
     values = cloth.harmonic(ends, (along[ends] > along.mean()).astype(float))
     assert values == pytest.approx((along - along.min()) / np.ptp(along), abs=0.003)
-
-
-def test_a_harmonic_function_keeps_the_bounds_of_its_border() -> None:
     _, cloth = strip()
     border = cloth.border
     assert len(border) == 2 * (12 + 5)

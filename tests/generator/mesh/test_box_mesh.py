@@ -1,15 +1,28 @@
-"""Box meshes: topology, geometry and labels of patterns with known meshes."""
+"""Box meshes: topology, geometry, labels and winding of patterns with known meshes, and of the reference's."""
 
-from dataclasses import replace
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.records import Panel, Pattern
+from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments.collar import Collar
+from gcd_dataset.generator.garments.wardrobe import Upper
+from gcd_dataset.generator.mesh import build_box_mesh, coarsen, turned_panels
+from gcd_dataset.generator.mesh.triangulate import LONGEST
+from gcd_dataset.generator.quality import sample_surface
+from gcd_dataset.records import BoxMesh, Panel, Pattern
+from gcd_dataset.spec import read_pattern
+from tests.generator.garments.conftest import DRESS, OUTFITS, WOMAN
 from tests.generator.mesh.shapes import (
+    angles,
     areas,
     directed_edges,
     euler_characteristic,
@@ -84,45 +97,24 @@ def test_a_mirrored_panel_has_the_mirrored_mesh() -> None:
     assert np.array_equal(left.faces, right.faces)
 
 
-def test_a_coarser_spacing_makes_a_smaller_mesh() -> None:
-    fine, coarse = (len(build_box_mesh(darted(), spacing=spacing).faces) for spacing in (0.5, 1.0))
-    assert fine / coarse == pytest.approx(4.0, rel=0.1)
-
-
 # --------------------------------------------------------------------------------------------------------------- seams
 
 
-def test_a_tube_is_open_at_both_ends() -> None:
-    """Euler characteristic 0, and two rims, each of 22 points minus 2 shared ones."""
-    mesh = build_box_mesh(tube())
+def test_a_tube_is_open_at_both_ends_and_its_seams_merge_points_in_the_middle() -> None:
+    """Euler characteristic 0, two rims of 22 points minus 2 shared ones, 21 points less on each of the two seams."""
+    pattern = tube()
+    mesh = build_box_mesh(pattern)
     assert euler_characteristic(mesh) == 0
     _, faces_of_edge = undirected_edges(mesh.faces)
     assert (faces_of_edge == 1).sum() == 2 * 20
     assert faces_of_edge.max() == 2
-
-
-def test_a_seam_merges_pairs_of_vertices() -> None:
-    """The points of the panels minus 21 on each of the tube's two seams."""
-    pattern = tube()
-    mesh = build_box_mesh(pattern)
     alone = sum(len(build_box_mesh(sewn(each)).vertices) for each in pattern.panels)
     assert len(mesh.uv) == alone
     assert len(mesh.vertices) == alone - 2 * 21
     assert mesh.n_seam_vertices == 2 * 21
-
-
-def test_a_seam_vertex_starts_in_the_middle() -> None:
-    """The tube's sides are at z = 3 and -3: seam vertices start at 0, the others in the plane of their panel."""
-    mesh = build_box_mesh(tube())
+    # The tube's sides are at z = 3 and -3.
     assert mesh.vertices[: mesh.n_seam_vertices, 2] == pytest.approx(0.0, abs=1e-9)
     assert np.abs(mesh.vertices[mesh.n_seam_vertices :, 2]) == pytest.approx(3.0)
-
-
-def test_faces_have_consistent_winding_across_seams() -> None:
-    """No directed edge occurs twice: the right side of the cloth is outside everywhere."""
-    for pattern in (tube(), darted(), patchwork()):
-        edges = directed_edges(build_box_mesh(pattern).faces)
-        assert len(np.unique(edges, axis=0)) == len(edges)
 
 
 def test_a_dart_closes() -> None:
@@ -145,15 +137,12 @@ def cone(opening: float) -> Pattern:
     return sewn(panel("cone", corners), seams=(seam(("cone", 0), ("cone", 2)),))
 
 
-def test_a_cone_is_a_disc() -> None:
+def test_a_cone_is_a_disc_if_a_face_is_left_at_its_tip() -> None:
     mesh = build_box_mesh(cone(150.0))
     assert euler_characteristic(mesh) == 1
     _, faces_of_edge = undirected_edges(mesh.faces)
     assert (faces_of_edge == 1).sum() == 39  # the hem: 40 · sin 75° = 38.6 cm
-
-
-def test_a_cone_without_a_face_at_its_tip_is_an_error() -> None:
-    """Sewing collapses a triangle across a sharp corner, which would leave the tip without a face."""
+    # Sewing collapses a triangle across a sharp corner, which would leave the tip without a face.
     with pytest.raises(MeshError, match=r"panel cone: the corner at \(0.00, 0.00\) cm is sewn to itself"):
         build_box_mesh(cone(35.0))
 
@@ -237,23 +226,13 @@ def test_a_label_holds_all_vertices_of_a_seam_and_the_inner_vertices_of_a_free_e
     assert sorted(collar[:, 0].tolist()) == pytest.approx([6.0, 7.0, 8.0, 9.0])
 
 
-def test_edges_with_one_label_form_one_set_of_vertices() -> None:
+def test_edges_with_one_label_form_one_set_of_vertices_and_contradictory_labels_are_an_error() -> None:
     """The collar is the seam and the free edge; their common point occurs once."""
     mesh = build_box_mesh(labelled("collar", "", "collar"))
     assert len(mesh.labels["collar"]) == 6 + 4
     assert (np.diff(mesh.labels["collar"]) > 0).all()
-
-
-def test_contradictory_labels_of_a_seam_are_an_error() -> None:
     with pytest.raises(MeshError, match=r"seam 0 \(a edge 1 to b edge 3\) joins labels left_collar and waist"):
         build_box_mesh(labelled("left_collar", "waist", ""))
-
-
-def test_panel_labels_are_kept() -> None:
-    pattern = tube()
-    front, back = pattern.panels
-    mesh = build_box_mesh(replace(pattern, panels=(replace(front, label="body"), back)))
-    assert mesh.panel_labels == ("body", "")
 
 
 # -------------------------------------------------------------------------------------------------------------- errors
@@ -290,8 +269,176 @@ def test_a_panel_with_too_many_points_is_an_error(side: float, spacing: float) -
 def test_a_spacing_that_is_no_length_is_an_error(spacing: float) -> None:
     with pytest.raises(MeshError, match="give a positive one"):
         build_box_mesh(tube(), spacing=spacing)
-
-
-def test_a_pattern_without_panels_is_an_error() -> None:
     with pytest.raises(MeshError, match="pattern test has no panels"):
         build_box_mesh(sewn())
+
+
+LAPELS = {"left_collar_front", "right_collar_front"}
+ROUND = {"left_collar_back", "right_collar_back"}
+BATTERY: dict[str, Mapping[str, Any]] = {
+    **OUTFITS,
+    **{
+        f"{upper.value}, {collar.value}, standing {standing}": {
+            "meta": DRESS | {"upper": upper.value},
+            "collar": {"component": {"style": collar.value, "lapel_standing": standing}},
+        }
+        for upper in (Upper.FITTED, Upper.SHIRT)  # a cape has no collar
+        for collar in Collar
+        for standing in (False, True)
+    },
+}
+
+
+def same_direction_edges(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "n 2"]:
+    """Edges with the same direction in two faces."""
+    edges, times = np.unique(directed_edges(faces), axis=0, return_counts=True)
+    return edges[times > 1]
+
+
+@pytest.mark.parametrize("name", BATTERY)
+def test_no_directed_edge_occurs_twice(name: str) -> None:
+    mesh = build_box_mesh(outfit(WOMAN, design_from_dict(BATTERY[name])), spacing=5.0)
+    assert not len(same_direction_edges(mesh.faces))
+    assert not len(same_direction_edges(coarsen(mesh).mesh.faces))
+
+
+@pytest.mark.parametrize(("standing", "expected"), [(True, LAPELS), (False, LAPELS | ROUND)])
+def test_lapels_are_sewn_in_wrong_side_out(standing: bool, expected: set[str]) -> None:
+    collar = {"component": {"style": "SimpleLapel", "lapel_standing": standing}}
+    pattern = outfit(WOMAN, design_from_dict({"meta": {"upper": "Shirt"}, "collar": collar}))
+    mesh = build_box_mesh(pattern, spacing=5.0)
+    assert set(turned_panels(pattern, mesh)) == expected
+    assert set(turned_panels(pattern, coarsen(mesh).mesh)) == expected
+
+
+@pytest.mark.parametrize("name", ["shirt", "Pants", "Shirt, Hood2Panels, standing False"])
+def test_other_garments_have_no_turned_panel(name: str) -> None:
+    pattern = outfit(WOMAN, design_from_dict(BATTERY[name]))
+    assert turned_panels(pattern, build_box_mesh(pattern, spacing=5.0)) == ()
+
+
+def test_a_seam_of_right_to_wrong_turns_the_smaller_panel_over() -> None:
+    """Both panels then have normals of one direction; the larger panel keeps the winding of its loop."""
+    a, b = panel("a", rectangle(10.0, 10.0)), panel("b", rectangle(5.0, 10.0), at=(15.0, 0.0, 0.0), turned=np.pi)
+    pattern = sewn(b, a, seams=(seam(("a", 1), ("b", 1), right_wrong=True),))
+    mesh = build_box_mesh(pattern, spacing=1.0)
+    assert turned_panels(pattern, mesh) == ("b",)
+    assert not len(same_direction_edges(mesh.faces))
+    points = sample_surface(mesh.vertices, mesh.faces, 200, np.random.default_rng(0))
+    assert points[:, 5] == pytest.approx(1.0)
+    assert np.bincount(mesh.panel_id, signed(mesh)) == pytest.approx([-50.0, 100.0])
+
+
+def test_the_faces_of_a_moebius_strip_disagree_in_one_seam(caplog: pytest.LogCaptureFixture) -> None:
+    """Three panels in a ring with one seam of right to wrong side form a one-sided band."""
+    ring = [panel(name, rectangle(20.0, 5.0), at=(20.0 * k, 0.0, 0.0)) for k, name in enumerate("abc")]
+    seams = (
+        seam(("a", 1), ("b", 3)),
+        seam(("b", 1), ("c", 3)),
+        seam(("c", 1), ("a", 3), right_wrong=True),
+    )
+    mesh = build_box_mesh(sewn(*ring, seams=seams), spacing=1.0)
+    on_seam = [set(mesh.seams[mesh.seams[:, 1] == number, 0].tolist()) for number in range(3)]
+    edges = same_direction_edges(mesh.faces)
+    assert len(edges) == 5
+    assert "closes a band with one side only" in caplog.text
+    assert sum(set(edges.ravel().tolist()) <= vertices for vertices in on_seam) == 1
+
+
+def signed(mesh: BoxMesh) -> Float[np.ndarray, " f"]:
+    return areas(mesh.uv, mesh.corners)
+
+
+DESIGNS = (
+    "asymm_circle_skirt_lapel_dress", "asymmetric_top", "circle_skirt", "dress", "fitted_shirt", "godet_skirt",
+    "jumpsuit", "levels_skirt", "pants_cuff", "pencil_skirt", "shirt_sleeves_hood", "strapless_dress",
+)  # fmt: skip
+MESHES = {
+    "dress_pencil": "dress_pencil_specification.json",
+    **{
+        f"ex_{name}": f"{name}/default_body/{name}_specification.json"
+        for name in ("circle_skirt", "dress", "godet_skirt", "jumpsuit", "pants_cuff", "shirt_sleeves_hood")
+    },
+}
+
+
+@pytest.mark.parametrize(("body", "spacing"), [("default_body", 1.0), ("random_body", 2.0)])
+@pytest.mark.parametrize("name", DESIGNS)
+def test_every_design_has_a_sound_mesh(examples: Path, name: str, body: str, spacing: float) -> None:
+    """Manifold, without long edges and unused vertices; only the outline may force slivers."""
+    pattern = read_pattern(examples / "patterns" / name / body / f"{name}_specification.json")
+    mesh = build_box_mesh(pattern, spacing=spacing)
+    _, faces_of_edge = undirected_edges(mesh.faces)
+    assert faces_of_edge.max() == 2
+    assert np.array_equal(np.unique(mesh.faces), np.arange(len(mesh.vertices)))
+    assert sides(mesh.uv, mesh.corners).max() <= LONGEST * spacing
+    assert np.median(sides(mesh.uv, mesh.corners)) == pytest.approx(0.97 * spacing, abs=0.01 * spacing)
+    on_border = outline_points(mesh)
+    over_border = on_border[np.roll(mesh.corners, -1, axis=1)] & on_border[np.roll(mesh.corners, 1, axis=1)]
+    assert (angles(mesh.uv, mesh.corners)[~over_border] > 20.0).all()
+
+
+def outline_points(mesh: BoxMesh) -> np.ndarray:
+    """Flags of the rows of ``uv`` on the outline of their panel."""
+    edges, faces_of_edge = undirected_edges(mesh.corners)
+    on_border = np.zeros(len(mesh.uv), bool)
+    on_border[edges[faces_of_edge == 1]] = True
+    return on_border
+
+
+@pytest.fixture(scope="module", params=MESHES)
+def both(request: pytest.FixtureRequest, examples: Path) -> tuple[BoxMesh, Any]:
+    """This package's mesh and the reference's of the same pattern."""
+    pattern = read_pattern(examples / "patterns" / MESHES[request.param])
+    return build_box_mesh(pattern), np.load(examples / "meshes" / f"{request.param}.npz")
+
+
+def test_panels_labels_and_numbers_are_the_references(both: tuple[BoxMesh, Any]) -> None:
+    ours, reference = both
+    assert ours.panel_names == tuple(reference["panel_names"])
+    assert ours.panel_labels == tuple(reference["panel_labels"])
+    assert len(ours.vertices) == pytest.approx(len(reference["vertices"]), rel=0.01)
+    assert len(ours.faces) == pytest.approx(len(reference["faces"]), rel=0.015)
+    labels = json.loads(str(reference["vertex_labels_json"]))
+    assert {label: len(vertices) for label, vertices in ours.labels.items()} == {
+        label: len(set(vertices)) for label, vertices in labels.items()
+    }
+
+
+def test_panels_have_the_same_area_and_face_the_same_way(both: tuple[BoxMesh, Any]) -> None:
+    """Sides are compared by normals in space: a panel may be drawn from behind, so signed flat areas can differ."""
+    ours, reference = both
+    ours_flat = np.bincount(ours.panel_id, np.abs(areas(ours.uv, ours.corners)))
+    flat = np.bincount(reference["face_panel"], np.abs(areas(reference["panel_xy"], reference["face_uv"])))
+    assert ours_flat == pytest.approx(flat, rel=1e-6)
+    looks = facing(ours.vertices, ours.faces, ours.panel_id)
+    assert (looks * facing(reference["vertices"], reference["faces"], reference["face_panel"])).sum(axis=1).min() > 0.99
+
+
+def facing(vertices: np.ndarray, faces: np.ndarray, panel: np.ndarray) -> np.ndarray:
+    """The mean normal of each panel."""
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    total = np.stack([np.bincount(panel, column) for column in normals.T], axis=1)
+    return total / np.linalg.norm(total, axis=1, keepdims=True)
+
+
+def test_seams_run_through_the_same_points(both: tuple[BoxMesh, Any]) -> None:
+    """Except where several seams meet: there the reference uses a running mean, this package the mean."""
+    ours, reference = both
+    count = int(reference["n_stitch_vertices"])
+    assert ours.n_seam_vertices == count
+    apart, _ = cKDTree(reference["vertices"][:count]).query(ours.vertices[:count])
+    single = np.bincount(ours.uv_vertex)[:count] <= 2
+    assert apart[single].max() < 1e-3
+    assert single.mean() > 0.8
+
+
+def test_seams_have_the_reference_lengths(both: tuple[BoxMesh, Any]) -> None:
+    """Lengths in points; the reference lists fewer seams at a vertex where several meet."""
+    ours, reference = both
+    names = [name for row in reference["stitch_segmentation"] for name in str(row).split(",") if "stitch_" in name]
+    theirs = np.unique(names, return_counts=True)[1]
+    mine = np.bincount(ours.seams[:, 1])
+    assert len(mine) == len(theirs)
+    assert np.abs(np.sort(mine) - np.sort(theirs)).max() <= 2

@@ -1,15 +1,18 @@
 """A coarse mesh has the panels and seams of the fine mesh, and interpolates to it."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.mesh.coarse import CoarseMesh, coarsen
+from gcd_dataset.generator.mesh.coarse import CoarseMesh, barycentric, coarsen, locate
+from gcd_dataset.generator.mesh.coarse_border import Borders, thin
 from gcd_dataset.records import BoxMesh, Pattern
-from tests.generator.mesh.shapes import areas, euler_characteristic, panel, rectangle, sewn, sides, star, tube
+from tests.generator.mesh.shapes import areas, euler_characteristic, panel, rectangle, sewn, sides, tube
 from tests.generator.mesh.test_box_mesh import DART, darted, patchwork
 
 PATTERNS = [darted(), patchwork(), tube(), sewn(panel("a", rectangle(20.0, 13.0)))]
@@ -21,7 +24,7 @@ def meshes(pattern: Pattern) -> tuple[BoxMesh, BoxMesh]:
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
-def test_panels_keep_their_area_and_seams_their_joins(pattern: Pattern) -> None:
+def test_panels_keep_their_area_and_seams_their_joins_and_edges_are_twice_as_long(pattern: Pattern) -> None:
     fine, coarse = meshes(pattern)
     for number in range(len(fine.panel_names)):
         was, now = (areas(m.uv, m.corners[m.panel_id == number]).sum() for m in (fine, coarse))
@@ -29,11 +32,6 @@ def test_panels_keep_their_area_and_seams_their_joins(pattern: Pattern) -> None:
     assert euler_characteristic(coarse) == euler_characteristic(fine)
     assert set(coarse.seams[:, 1]) == set(fine.seams[:, 1])
     assert len(coarse.vertices) < 0.4 * len(fine.vertices)
-
-
-@pytest.mark.parametrize("pattern", PATTERNS)
-def test_edges_are_twice_as_long_within_a_limit(pattern: Pattern) -> None:
-    fine, coarse = meshes(pattern)
     length, coarse_length = (sides(m.uv, m.corners) for m in (fine, coarse))
     assert np.median(coarse_length) == pytest.approx(2 * np.median(length), rel=0.15)
     assert coarse_length.max() < 2 * 1.6
@@ -89,17 +87,6 @@ def test_congruent_panels_get_congruent_triangles() -> None:
     assert -b[::-1] == pytest.approx(a, abs=1e-5)
 
 
-def test_every_fine_vertex_lies_in_its_coarse_triangle() -> None:
-    """The coarse ``uv`` positions, interpolated, are the fine ones; inside panels, seams apart."""
-    fine = build_box_mesh(sewn(panel("a", rectangle(20.0, 13.0)), panel("b", star(3))), spacing=1.0)
-    coarse = coarsen(fine)
-    flat, coarse_flat = np.zeros((len(fine.vertices), 3)), np.zeros((len(coarse.mesh.vertices), 3))
-    flat[fine.uv_vertex, :2], coarse_flat[coarse.mesh.uv_vertex, :2] = fine.uv, coarse.mesh.uv
-    inside = (coarse.weights > 0.0).sum(axis=1) == 3
-    assert inside.mean() > 0.5
-    assert coarse.refine(coarse_flat)[inside] == pytest.approx(flat[inside], abs=1e-9)
-
-
 def test_a_panel_that_touches_itself_is_refused() -> None:
     """Of the triangles round a point, two without a common side: the loops round both pass through the point."""
     fine = build_box_mesh(sewn(panel("a", rectangle(20.0, 20.0))), spacing=1.0)
@@ -120,3 +107,53 @@ def test_a_panel_with_a_hole_is_refused() -> None:
     ring = replace(fine, faces=fine.faces[left], corners=fine.corners[left], panel_id=fine.panel_id[left])
     with pytest.raises(MeshError, match="ring has a hole"):
         coarsen(ring)
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_border_segments_are_the_sides_of_one_face(pattern: Pattern) -> None:
+    mesh = build_box_mesh(pattern, spacing=1.0)
+    borders = Borders.of(mesh)
+    sides = mesh.corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
+    count = Counter(frozenset(side) for side in sides)
+    assert sorted(zip(borders.rows.tolist(), borders.after.tolist(), strict=True)) == sorted(
+        (u, v) for u, v in sides if count[frozenset((u, v))] == 1
+    )
+    same_loop = np.flatnonzero(np.diff(borders.panel) == 0)
+    assert (borders.after[same_loop] == borders.rows[same_loop + 1]).all()
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_dropped_vertices_lie_between_kept_ones(pattern: Pattern) -> None:
+    """All outlines here are straight between corners and bends, so the shares give the positions back."""
+    mesh = build_box_mesh(pattern, spacing=1.0)
+    borders = Borders.of(mesh)
+    thinned = thin(mesh, borders)
+    on_border = np.unique(mesh.uv_vertex[borders.rows])
+    assert thinned.kept.sum() + len(thinned.dropped) == len(on_border)
+    assert sorted([*np.flatnonzero(thinned.kept), *thinned.dropped]) == on_border.tolist()
+    assert thinned.kept[thinned.between].all()
+    assert (thinned.share > 0.0).all()
+    assert (thinned.share < 1.0).all()
+    assert thinned.kept.sum() < 0.7 * len(on_border)
+
+
+def scattered(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    points = np.random.default_rng(seed).uniform(0.0, 20.0, (120, 2))
+    return points, Delaunay(points).simplices
+
+
+@pytest.mark.parametrize("cell", [0.3, 1.0, 50.0])
+def test_the_triangle_holds_the_point(cell: float) -> None:
+    """Means of three corners with positive weights lie in that triangle, and in no other."""
+    points, faces = scattered(0)
+    rng = np.random.default_rng(1)
+    triangle = rng.integers(len(faces), size=500)
+    shares = rng.dirichlet(np.ones(3), size=500)
+    queries = np.einsum("nk,nkd->nd", shares, points[faces[triangle]])
+    assert (locate(points, faces, queries, cell) == triangle).all()
+    assert pytest.approx(shares, abs=1e-6) == barycentric(points, faces[triangle], queries).T
+
+
+def test_a_point_beside_a_triangle_gets_it() -> None:
+    points, faces = np.array([(0.0, 0.0), (4.0, 0.0), (0.0, 4.0), (40.0, 40.0)]), np.array([(0, 1, 2), (1, 3, 2)])
+    assert locate(points, faces, np.array([(1.0, -0.01), (30.0, 60.0)]), 1.0).tolist() == [0, 1]

@@ -63,30 +63,26 @@ def test_a_gathered_seam_has_the_points_of_its_longer_side() -> None:
     assert counts[EdgeRef("a", 2)] == 11
 
 
-def test_an_edge_in_two_seams_is_an_error() -> None:
-    a, b = panel("a", rectangle(10.0, 5.0)), panel("b", rectangle(10.0, 5.0))
-    pattern = sewn(a, b, seams=(seam(("a", 0), ("b", 0)), seam(("b", 0), ("a", 2))))
-    with pytest.raises(MeshError, match="panel b, edge 0 is in seams 0 and 1: split the edge"):
-        edge_counts(pattern, 1.0)
+FLAT = panel("a", rectangle(10.0, 5.0))
+BROKEN = {
+    "panel b, edge 0 is in seams 0 and 1: split the edge": sewn(
+        FLAT, panel("b", rectangle(10.0, 5.0)), seams=(seam(("a", 0), ("b", 0)), seam(("b", 0), ("a", 2)))
+    ),
+    "seam 0: there is no edge 4 of panel a": sewn(FLAT, seams=(seam(("a", 0), ("a", 4)),)),
+    "panel a, edge 2: arc of radius 3 cm cannot span a chord of 10 cm": sewn(
+        panel("a", rectangle(10.0, 5.0), curves={2: Arc(3.0, large=False, right=True)})
+    ),
+    **{
+        f"panel a, edge 0 has a length of {length} cm": sewn(panel("a", [(0.0, 0.0), (length, 0.0), (5.0, 5.0)]))
+        for length in (0.0, np.nan, np.inf)
+    },
+}
 
 
-def test_a_seam_of_a_missing_edge_is_an_error() -> None:
-    with pytest.raises(MeshError, match="seam 0: there is no edge 4 of panel a"):
-        edge_counts(sewn(panel("a", rectangle(10.0, 5.0)), seams=(seam(("a", 0), ("a", 4)),)), 1.0)
-
-
-@pytest.mark.parametrize(
-    ("end", "length"), [((0.0, 0.0), "0.0"), ((np.nan, 0.0), "nan"), ((np.inf, 0.0), "inf")], ids=["0", "nan", "inf"]
-)
-def test_an_edge_without_a_finite_length_is_an_error(end: tuple[float, float], length: str) -> None:
-    with pytest.raises(MeshError, match=f"panel a, edge 0 has a length of {length} cm"):
-        edge_counts(sewn(panel("a", [(0.0, 0.0), end, (5.0, 5.0)])), 1.0)
-
-
-def test_an_arc_too_small_for_its_chord_is_an_error() -> None:
-    flat = panel("a", rectangle(10.0, 5.0), curves={2: Arc(3.0, large=False, right=True)})
-    with pytest.raises(MeshError, match="panel a, edge 2: arc of radius 3 cm cannot span a chord of 10 cm"):
-        edge_counts(sewn(flat), 1.0)
+@pytest.mark.parametrize("message", BROKEN)
+def test_an_edge_that_cannot_be_sewn_is_an_error(message: str) -> None:
+    with pytest.raises(MeshError, match=message):
+        edge_counts(BROKEN[message], 1.0)
 
 
 def test_an_open_or_empty_outline_is_an_error() -> None:
@@ -106,12 +102,9 @@ def points(*numbers: int) -> np.ndarray:
     return np.array(numbers)
 
 
-def test_right_sides_meet_end_to_start() -> None:
+def test_right_sides_meet_end_to_start_and_right_and_wrong_start_to_start() -> None:
     sewn = stitch_points((seam(A, B),), [(points(0, 1, 2), points(5, 6, 7))])
     assert list(zip(sewn.left.tolist(), sewn.right.tolist(), strict=True)) == [(0, 7), (1, 6), (2, 5)]
-
-
-def test_right_and_wrong_side_meet_start_to_start() -> None:
     sewn = stitch_points((seam(A, B, right_wrong=True),), [(points(0, 1, 2), points(5, 6, 7))])
     assert list(zip(sewn.left.tolist(), sewn.right.tolist(), strict=True)) == [(0, 5), (1, 6), (2, 7)]
 
@@ -139,9 +132,6 @@ def test_a_chain_of_seams_is_one_vertex() -> None:
 def test_a_vertex_is_the_mean_of_its_points() -> None:
     positions = np.array([(0, 0, 0), (4, 2, 0), (2, 1, 9), (7, 7, 7)], float)
     assert mean_positions(positions, points(0, 0, 0, 1)) == pytest.approx(np.array([(2, 1, 3), (7, 7, 7)]))
-
-
-def test_a_pattern_without_seams_merges_no_points() -> None:
     assert merge_points(stitch_points((), []), np.zeros(4, int), ()).tolist() == [0, 1, 2, 3]
 
 

@@ -44,19 +44,20 @@ def seam_ends(pattern: Pattern) -> list[tuple[list[float], list[float]]]:
     return found
 
 
-def test_loops_run_counter_clockwise_as_seen_from_outside() -> None:
+def test_an_assembled_tube_is_seen_from_outside_and_stays_in_place() -> None:
+    """Loops run counter-clockwise, seams join the ends that face each other, the first corner is the origin."""
     pattern = assemble(tube("tube"), "tube")
     for panel in pattern.panels:
         x, y = panel.vertices.T
         area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
         assert area * panel.placement.translation[2] > 0
-
-
-def test_seams_join_the_ends_that_face_each_other() -> None:
     pattern = assemble(tube("tube"), "tube")
     assert not any(seam.right_wrong for seam in pattern.seams)
     for left, right in seam_ends(pattern):
         assert left[:2] == right[:2]
+    for panel in assemble(tube("tube"), "tube").panels:
+        assert panel.vertices[0].tolist() == [0.0, 0.0]
+        assert corner(panel, 0)[:2] == [-10.0, 60.0]
 
 
 def test_a_panel_sewn_inside_out_is_right_to_wrong() -> None:
@@ -71,12 +72,6 @@ def test_a_divided_edge_keeps_its_label_on_every_part() -> None:
     pattern = assemble(whole.with_edge_label(belt.along("hem"), EdgeRole.LOWER_INTERFACE), "skirt")
     labelled = [edge.name for edge in pattern.panel("belt").edges if edge.label == "lower_interface"]
     assert labelled == ["hem", "hem"]
-
-
-def test_the_first_corner_becomes_the_origin_and_stays_in_place() -> None:
-    for panel in assemble(tube("tube"), "tube").panels:
-        assert panel.vertices[0].tolist() == [0.0, 0.0]
-        assert corner(panel, 0)[:2] == [-10.0, 60.0]
 
 
 def test_an_edge_in_two_seams_is_an_error() -> None:

@@ -1,5 +1,6 @@
-"""Strokes, tangents of curves, and cubics fitted to them."""
+"""Strokes, outlines, darts and corners cut into them, and cubics fitted to tangents."""
 
+from collections.abc import Callable
 from math import cos, hypot, pi, radians, sin
 
 import numpy as np
@@ -9,7 +10,19 @@ from hypothesis import strategies as st
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, curve_points
 from gcd_dataset.errors import FitError, PatternError
-from gcd_dataset.generator.pattern import Stroke, rotate, smooth_cubic, tangent_quadratic
+from gcd_dataset.generator.pattern import (
+    Outline,
+    Stroke,
+    cut_corner,
+    cut_end,
+    cut_into,
+    dart,
+    notch,
+    rotate,
+    smooth_cubic,
+    tangent_quadratic,
+)
+from gcd_dataset.generator.pattern.piece import shared_breaks
 
 CURVES: list[Curve] = [
     LINE,
@@ -21,43 +34,27 @@ CURVES: list[Curve] = [
 
 
 @pytest.mark.parametrize("curve", CURVES)
-def test_parts_add_up_to_the_whole(curve: Curve) -> None:
+def test_parts_lie_on_the_whole_and_add_up_to_it(curve: Curve) -> None:
     stroke = Stroke((1.0, 2.0), (25.0, 20.0), curve, "side", "held")
     pieces = stroke.split([0.2, 0.75])
     assert [piece.length / stroke.length for piece in pieces] == pytest.approx([0.2, 0.55, 0.25], abs=1e-7)
     assert {(piece.name, piece.label) for piece in pieces} == {("side", "held")}
     assert pieces[0].end == pieces[1].start
+    first, second = stroke.split_at([0.4])
+    assert first.at(0.5) == pytest.approx(stroke.at(0.2))
+    assert second.at(0.5) == pytest.approx(stroke.at(0.7))
     assert pieces[-1].end == stroke.end
 
 
 @pytest.mark.parametrize("curve", CURVES)
-def test_parts_lie_on_the_whole(curve: Curve) -> None:
-    stroke = Stroke((1.0, 2.0), (25.0, 20.0), curve)
-    first, second = stroke.split_at([0.4])
-    assert first.at(0.5) == pytest.approx(stroke.at(0.2))
-    assert second.at(0.5) == pytest.approx(stroke.at(0.7))
-
-
-@pytest.mark.parametrize("curve", CURVES)
-def test_rotation_keeps_the_length_and_rotates_the_points(curve: Curve) -> None:
+def test_rotation_reversal_and_mirroring_map_points(curve: Curve) -> None:
     stroke = Stroke((1.0, 2.0), (25.0, 20.0), curve)
     turned = stroke.rotated(0.5 * np.pi, about=(1.0, 2.0))
     x, y = stroke.at(0.3)
     assert turned.length == pytest.approx(stroke.length)
     assert turned.at(0.3) == pytest.approx((1.0 - (y - 2.0), 2.0 + (x - 1.0)))
-
-
-@pytest.mark.parametrize("curve", CURVES)
-def test_reversal_and_mirroring_map_points(curve: Curve) -> None:
-    stroke = Stroke((1.0, 2.0), (25.0, 20.0), curve)
-    x, y = stroke.at(0.3)
     assert stroke.reversed().at(0.7) == pytest.approx((x, y))
     assert stroke.mirrored().at(0.3) == pytest.approx((-x, y))
-
-
-def test_an_arc_has_no_control_points() -> None:
-    with pytest.raises(PatternError, match="hem: an arc has no control points"):
-        Stroke((0.0, 0.0), (1.0, 0.0), Arc(1.0, large=False, right=True), "hem").control_points()
 
 
 START, END = (3.0, -2.0), (5.0, 38.0)
@@ -159,3 +156,177 @@ def test_the_fit_to_tangents_of_a_quarter_circle_is_nearly_circular() -> None:
 def test_an_impossible_length_is_an_error() -> None:
     with pytest.raises(FitError, match=r"a smooth curve of 1\.00 cm over 20\.00 cm: .* cm are missing"):
         smooth_cubic((0.0, 0.0), (0.0, -20.0), start_tangent=(1.0, 0.0), end_tangent=(1.0, 0.0), length=1.0)
+
+
+def outlined() -> Outline:
+    return Outline.start(0, 0).line(30, 0, name="hem").line(30, 20, name="side").line(0, 20).close(name="centre")
+
+
+def test_edges_by_name() -> None:
+    assert outlined().edge("side").length == 20.0
+    assert outlined().closed
+
+
+def test_drawing_returns_a_new_outline() -> None:
+    begun = Outline.start(0, 0).line(10, 0)
+    begun.line(10, 10)
+    assert begun.pen == (10.0, 0.0)
+
+
+def test_the_sign_of_the_area_is_the_direction_of_the_loop() -> None:
+    assert outlined().area == pytest.approx(600.0)
+    assert outlined().mirrored().area == pytest.approx(-600.0)
+
+
+def test_a_divided_edge_cannot_be_looked_up_as_one() -> None:
+    hem = outlined().edge("hem")
+    divided = outlined().with_strokes((hem,), hem.split([0.5]))
+    assert [piece.length for piece in divided.run("hem")] == pytest.approx([15.0, 15.0])
+    with pytest.raises(PatternError, match="divided into 2 pieces"):
+        divided.edge("hem")
+
+
+LENGTHS = st.lists(st.floats(0.1, 100.0), min_size=1, max_size=5)
+
+
+def positions(lengths: list[float], divisions: list[list[float]]) -> list[float]:
+    """All breaks of a divided interface, as shares of its length."""
+    total, reached, found = sum(lengths), 0.0, []
+    for length, shares in zip(lengths, divisions, strict=True):
+        found += [(reached + share * length) / total for share in shares]
+        reached += length
+        found.append(reached / total)
+    return found
+
+
+def test_nearly_equal_edges_are_sewn_edge_by_edge() -> None:
+    assert shared_breaks([10.0, 10.0], [10.9, 10.0]) == ([[], []], [[], []])
+
+
+def test_an_edge_sewn_to_two_edges_is_divided() -> None:
+    left, right = shared_breaks([30.0], [10.0, 20.0])
+    assert left == [[pytest.approx(1 / 3)]]
+    assert right == [[], []]
+
+
+def test_breaks_closer_than_a_hundredth_are_merged() -> None:
+    left, right = shared_breaks([50.0, 50.0], [50.4, 30.0, 19.6])
+    assert left == [[], [pytest.approx((0.804 - 0.5) / 0.5)]]
+    assert right == [[], [], []]
+
+
+def test_a_break_in_the_middle_of_a_short_edge_is_sewn_to_one_of_its_ends() -> None:
+    left, right = shared_breaks([50.0, 50.0], [49.75, 0.5, 49.75])
+    assert sum(map(len, left)) + 2 == sum(map(len, right)) + 3
+
+
+@given(LENGTHS, LENGTHS)
+def test_both_sides_end_with_equally_many_edges_and_the_same_breaks(left: list[float], right: list[float]) -> None:
+    ours, theirs = (positions(*side) for side in zip((left, right), shared_breaks(left, right), strict=True))
+    assert len(ours) == len(theirs)
+    assert ours == pytest.approx(theirs, abs=0.051)
+    assert ours == sorted(ours)
+
+
+def rectangle(*, clockwise: bool = False) -> Outline:
+    drawn = Outline.start(0, 0).line(60, 0, name="hem").line(60, 40, name="side").line(0, 40, name="top")
+    return drawn.close().mirrored() if clockwise else drawn.close()
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+def test_a_notch_takes_its_triangle_out_of_the_area(clockwise: bool) -> None:
+    before = rectangle(clockwise=clockwise)
+    after = cut_into(before, "hem", notch(4.0, 10.0), at=20.0)
+    assert abs(after.area) == pytest.approx(abs(before.area) - 20.0)
+    assert [piece.length for piece in after.run("hem")] == pytest.approx([18.0, 38.0])
+
+
+def test_the_legs_of_a_dart_have_the_asked_length() -> None:
+    left, right = dart(6.0, 12.0)
+    assert (left.length, right.length) == pytest.approx((12.0, 12.0))
+    assert right.end == (6.0, 0.0)
+
+
+@pytest.mark.parametrize("curve", [Arc(70.0, large=False, right=True), Cubic((0.2, -0.3), (0.5, -0.1))])
+def test_a_mouth_on_a_curve_is_centred_and_as_wide_as_asked(curve: Curve) -> None:
+    outline = Outline.start(0, 0).curve(60, 0, curve, name="hem").line(60, 40).line(0, 40).close()
+    stroke = outline.edge("hem")
+    middle = stroke.at(stroke.parameter(25.0 / stroke.length))
+    first, second = cut_into(outline, "hem", notch(8.0, 10.0), at=25.0).run("hem")
+    low, high = first.end, second.start
+    assert hypot(high[0] - low[0], high[1] - low[1]) == pytest.approx(8.0)
+    assert hypot(low[0] - middle[0], low[1] - middle[1]) == pytest.approx(
+        hypot(high[0] - middle[0], high[1] - middle[1])
+    )
+
+
+def test_a_corner_cut_keeps_the_shape_and_shortens_both_edges() -> None:
+    curve = Cubic((0.2, -0.35), (0.5, -0.2))
+    shape = Stroke((0.0, 0.0), (-10.0, 15.0), curve, name="armhole")
+    cut = cut_corner(rectangle(), "side", "top", (shape,))
+    armhole = cut.edge("armhole")
+    assert armhole.curve == curve
+    assert armhole.chord == pytest.approx((-10.0, 15.0))
+    assert armhole.start == pytest.approx((60.0, 25.0))
+    assert armhole.end == pytest.approx((50.0, 40.0))
+    assert (cut.edge("side").length, cut.edge("top").length) == pytest.approx((25.0, 50.0))
+    assert cut.closed
+
+
+def test_a_second_notch_is_positioned_along_the_edge_left_by_the_first() -> None:
+    once = cut_into(rectangle(), "hem", notch(4.0, 10.0), at=40.0)
+    before = cut_into(once, "hem", notch(2.0, 5.0, name="second"), at=10.0)
+    behind = cut_into(once, "hem", notch(2.0, 5.0, name="second"), at=48.0)
+    assert [piece.length for piece in before.run("hem")] == pytest.approx([9.0, 27.0, 18.0])
+    assert [piece.length for piece in behind.run("hem")] == pytest.approx([38.0, 9.0, 7.0])
+
+
+def test_a_corner_cut_of_divided_edges_shortens_the_parts_at_the_corner() -> None:
+    corner = (Stroke((0.0, 0.0), (-10.0, 8.0), name="round"),)
+    cut = cut_corner(cut_into(rectangle(), "side", notch(4.0, 10.0), at=20.0), "side", "top", corner)
+    assert [piece.length for piece in cut.run("side")] == pytest.approx([18.0, 10.0])
+    assert cut.edge("top").length == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+@pytest.mark.parametrize("last", [False, True])
+def test_a_cut_at_the_end_of_an_edge_begins_in_its_corner(last: bool, clockwise: bool) -> None:
+    whole = rectangle(clockwise=clockwise)
+    hem = whole.edge("hem")
+    cut = cut_end(whole, "hem", notch(4.0, 10.0), last=last)
+    (rest,) = cut.run("hem")
+    assert rest.length == pytest.approx(hem.length - 4.0)
+    assert (rest.start == hem.start) is last and (rest.end == hem.end) is not last
+    assert abs(cut.area) == pytest.approx(abs(whole.area) - 20.0)
+
+
+def test_a_cut_at_the_end_of_an_arc_is_as_wide_as_asked() -> None:
+    disk = Outline.start(-10, 0).curve(10, 0, Arc(10.0, large=False, right=True), name="hem").close()
+    (rest,) = cut_end(disk, "hem", notch(5.0, 3.0), last=False).run("hem")
+    assert hypot(rest.start[0] + 10, rest.start[1]) == pytest.approx(5.0)
+    assert hypot(*rest.start) == pytest.approx(10.0)
+
+
+WRONG: dict[str, Callable[[], object]] = {
+    "hem: an arc has no control points": Stroke(
+        (0.0, 0.0), (1.0, 0.0), Arc(1.0, large=False, right=True), "hem"
+    ).control_points,
+    "no edge named sleeve: there are hem, side, centre": lambda: outlined().edge("sleeve"),
+    r"begins at \(11.00, 0.00\), but the pen is at \(10.00, 0.00\)": lambda: (
+        Outline.start(0, 0).line(10, 0).then(Stroke((11.0, 0.0), (12.0, 0.0)))
+    ),
+    "legs of 2.00 cm do not meet over an opening of 6.00 cm": lambda: dart(6.0, 2.0),
+    "edge hem of 60.00 cm: an opening of 8.00 cm centred at 58.00 cm": lambda: cut_into(
+        rectangle(), "hem", notch(8.0, 10.0), at=58.0
+    ),
+    "a cut from side to top does not fit the corner": lambda: cut_corner(
+        rectangle(), "side", "top", (Stroke((0.0, 0.0), (-10.0, 45.0)),)
+    ),
+    r"an opening of 90\.00 cm does not fit": lambda: cut_end(rectangle(), "hem", notch(90.0, 3.0), last=True),
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_a_cut_that_does_not_fit_is_an_error(message: str) -> None:
+    with pytest.raises(PatternError, match=message):
+        WRONG[message]()

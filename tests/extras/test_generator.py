@@ -1,0 +1,69 @@
+"""The generator in processes of its own, and more samples than the quick tests draw."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gcd_dataset.cli import main
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator import MakeConfig, produce
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.recipes import find_recipe
+from gcd_dataset.generator.recipes.hashing import made_patterns
+from gcd_dataset.patternhash import PatternHash
+from tests.test_cli import FLAT, of_session, wait_for_end_of, wait_for_samples
+
+SCRIPT = """
+from gcd_dataset.generator import MakeConfig, produce
+print([sample.key for sample in produce(5, range(2), MakeConfig(stage="pattern"), workers=2)])
+"""
+
+
+def test_the_error_of_a_script_without_main_guard_names_the_remedy(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    command = [sys.executable, str(tmp_path / "script.py")]
+    finished = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert finished.returncode == 1
+    assert "must start them under if __name__" in finished.stderr
+
+
+def test_workers_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path), "--count", "100000", "--workers", "2"]
+    process = subprocess.Popen([*command, *FLAT], stderr=subprocess.DEVNULL, start_new_session=True)
+    wait_for_samples(tmp_path, 3, process)
+    assert len(of_session(process.pid)) >= 3
+    process.kill()
+    process.wait()
+    wait_for_end_of(process.pid)
+    assert main(["generate", str(tmp_path), "--count", "3", *FLAT]) == 0  # keeps the finished samples
+
+
+PROGRAM = """
+from gcd_dataset.generator.recipes import find_recipe
+from gcd_dataset.generator.recipes.hashing import made_patterns
+from gcd_dataset.patternhash import PatternHash
+print(PatternHash.of(made_patterns(find_recipe("smoke-64-draft"), range(2))).text)
+"""
+
+
+def test_other_instructions_give_the_same_hash() -> None:
+    """With BLAS and the C library restricted to old instructions the last digits may differ, the hash does not."""
+    old = {"OPENBLAS_CORETYPE": "Prescott", "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA"}
+    command, env = [sys.executable, "-c", PROGRAM], {**os.environ, **old}
+    there = subprocess.run(command, capture_output=True, text=True, check=True, env=env).stdout.strip()
+    assert there == PatternHash.of(made_patterns(find_recipe("smoke-64-draft"), range(2))).text
+
+
+def test_a_failure_in_a_worker_is_raised_here() -> None:
+    heavy = Overlay.from_dict({"meta": {"upper": "none", "bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.9}})
+    with pytest.raises(PatternError, match="2 designs were rejected, the last for: too_heavy"):
+        list(produce(5, range(4), MakeConfig(stage="pattern", design=heavy, max_attempts=2), workers=2))
+
+
+def test_the_smoke_set_has_the_cited_hash() -> None:
+    """After a change of the sampler, ``python -m gcd_dataset.generator.recipes.hashing NAME`` prints the new hash."""
+    recipe = find_recipe("smoke-64-draft")
+    assert PatternHash.of(made_patterns(recipe, range(recipe.designs))).agrees(recipe.patterns)
