@@ -28,7 +28,7 @@ from gcd_dataset.generator import fitting
 from gcd_dataset.generator.body import named_body, read_body, read_measurements
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drape.solver import Solver
-from gcd_dataset.generator.garments import outfit, read_design
+from gcd_dataset.generator.garments import draw_garment, read_design
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig
@@ -330,7 +330,7 @@ def test_fit_draws_a_design_for_a_body_and_drapes_it(
     assert "on this body, too_heavy: length 0.10 and 1.20 suns" in one_line(said.err)
     _, size, _ = named_body("female:7")
     drawn = read_pattern(out / "mini_specification.json")
-    assert spec_from_pattern(drawn) == spec_from_pattern(outfit(size, read_design(file)))
+    assert spec_from_pattern(drawn) == spec_from_pattern(draw_garment(size, read_design(file)))
     written = read_measurements(out / "mini_body_measurements.yaml")
     assert written.to_file_values() == pytest.approx(size.to_file_values())
     for ending in ("_pattern.svg", "_front.png", "_pattern.png"):

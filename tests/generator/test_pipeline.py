@@ -19,13 +19,14 @@ from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
-from gcd_dataset.generator.drapers.in_order import Work, in_order
+from gcd_dataset.generator.drapers.draper import in_order
 from gcd_dataset.generator.garments import Reject, attempted_design, design_from_dict, garment_tags
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.pipeline import build_pattern, fit, sample_key
 from gcd_dataset.generator.recipe import MakeConfig, devices_of, recipe_of
+from gcd_dataset.making.tasks import Work
 from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Pattern, Sample
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.codec import encode_sample

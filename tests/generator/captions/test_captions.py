@@ -19,15 +19,15 @@ from gcd_dataset.generator.garments import (
     GarmentDesign,
     Reject,
     design_from_dict,
+    draw_garment,
     garment_tags,
-    outfit,
     sample_design,
     try_on,
 )
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.circle_skirt import VISIBLE_CUT
 from gcd_dataset.generator.garments.description import RUFFLES, Tag
 from gcd_dataset.generator.garments.drawn import hem_depth
-from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom
 from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
@@ -48,7 +48,7 @@ class Worn(NamedTuple):
 def drawn(size: Measurements, **values: object) -> Worn:
     """A design of sections, with underscores in their names, drawn for a wearer."""
     design = design_from_dict({name.replace("_", "-"): part for name, part in values.items()})
-    return Worn(size, design, outfit(size, design))
+    return Worn(size, design, draw_garment(size, design))
 
 
 def sampled(count: int, *overlays: Mapping[str, Any]) -> Iterator[Worn]:
@@ -101,7 +101,7 @@ def test_every_garment_of_the_wardrobe_has_captions(wardrobe: list[Worn]) -> Non
 @pytest.mark.parametrize("name", OUTFITS)
 def test_the_outfits_of_the_battery_have_captions(name: str) -> None:
     design = design_from_dict(OUTFITS[name])
-    texts = captions(WOMAN, design, outfit(WOMAN, design))
+    texts = captions(WOMAN, design, draw_garment(WOMAN, design))
     assert all(texts.values())
 
 
@@ -342,7 +342,7 @@ def test_a_maxi_reaches_below_four_fifths_of_hips_to_floor(wardrobe: list[Worn])
     assert maxis
     assert all(hem_depth(worn.size, worn.design) > 0.8 for worn in maxis)
     pencil = design_from_dict({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"length": 0.9, "flare": 1.0}})
-    pattern = outfit(WOMAN, pencil)
+    pattern = draw_garment(WOMAN, pencil)
     front = pattern.panel("skirt_front")
     assert "maxi" in garment_tags(WOMAN, pencil, pattern)
     assert np.ptp(front.vertices[:, 1]) > WOMAN.hips_line + 0.8 * WOMAN.leg_length

@@ -13,11 +13,10 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import build_body, measure, named_body, neutral_shape
 from gcd_dataset.generator.body.shape import T_POSE
 from gcd_dataset.generator.dressing import dress, has_legs
-from gcd_dataset.generator.dressing.frame import in_body_frame, moved, placed_outline
+from gcd_dataset.generator.dressing.frame import Wearer, in_body_frame, moved, placed_outline, wearer_of
 from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan
 from gcd_dataset.generator.dressing.openings import openings_of, panel_outline
-from gcd_dataset.generator.dressing.wearer import Wearer, wearer_of
-from gcd_dataset.generator.garments import design_from_dict, outfit, sample_design, try_on
+from gcd_dataset.generator.garments import design_from_dict, draw_garment, sample_design, try_on
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
@@ -152,7 +151,7 @@ def test_a_skirt_with_panels_centred_about_a_seam_is_placed(wearer: tuple[Body, 
     """The outer panels of the skirt are taken for sleeves with the zero vector as direction."""
     section = {"suns": 0.5, "length": 0.5, "skirt-many-panels": {"n_panels": 13}}
     design = design_from_dict({"meta": {"upper": None, "bottom": "SkirtManyPanels"}, "flare-skirt": section})
-    skirt = bared(outfit(wearer[1], design), placed=False)
+    skirt = bared(draw_garment(wearer[1], design), placed=False)
     assert np.isfinite([panel.placement.translation for panel in dress(skirt, *wearer).pattern.panels]).all()
 
 

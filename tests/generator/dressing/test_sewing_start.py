@@ -13,11 +13,10 @@ from scipy.spatial import cKDTree
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
-from gcd_dataset.generator.dressing.rolled_sleeve import roll_round_limb
 from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_start
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
-from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb, roll_round_limb
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
@@ -48,7 +47,7 @@ LONG_SLEEVES = {"sleeveless": False, "length": 1.15, "end_width": 0.5, "cuff": {
 
 
 def mesh_of(values: Mapping[str, Any]) -> BoxMesh:
-    return build_box_mesh(outfit(neutral()[1], design_from_dict(values)), spacing=2.5)
+    return build_box_mesh(draw_garment(neutral()[1], design_from_dict(values)), spacing=2.5)
 
 
 def shirt(**sections: Mapping[str, Any]) -> BoxMesh:

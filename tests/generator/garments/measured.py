@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import curve_length, sample_curve
 from gcd_dataset.faults import Severity, check_pattern
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern
@@ -20,7 +20,9 @@ def skirt(
     size: Measurements, kind: Bottom, sections: Mapping[str, Any], *, mends: frozenset[Mend] = ALL_MENDS
 ) -> Pattern:
     """The pattern of a skirt alone."""
-    return outfit(size, design_from_dict({"meta": {"upper": None, "bottom": kind.value}, **sections}), mends=mends)
+    return draw_garment(
+        size, design_from_dict({"meta": {"upper": None, "bottom": kind.value}, **sections}), mends=mends
+    )
 
 
 def edge_lengths(panel: Panel, name: str) -> list[float]:

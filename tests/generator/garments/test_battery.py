@@ -23,7 +23,7 @@ from gcd_dataset.generator.garments import (
     Reject,
     design_from_dict,
     design_to_dict,
-    outfit,
+    draw_garment,
     read_design,
     sample_design,
     sample_kind,
@@ -126,7 +126,7 @@ def labels_that_a_drape_needs_are_present(pattern: Pattern, design: GarmentDesig
 
 
 def test_a_garment_can_be_sewn_and_draped_on_every_wearer(wearer: Measurements, design: GarmentDesign) -> None:
-    pattern = outfit(wearer, design)
+    pattern = draw_garment(wearer, design)
     loops_are_closed_and_seen_from_outside(pattern)
     assert require_valid(pattern)
     seams_sew_each_edge_once_right_sides_together(pattern)
@@ -164,13 +164,13 @@ def a_spec_holds_no_negative_zeros(pattern: Pattern) -> None:
 
 
 def test_a_garment_is_placed_round_a_woman_and_its_files_repeat(woman: Measurements, design: GarmentDesign) -> None:
-    pattern = outfit(woman, design)
+    pattern = draw_garment(woman, design)
     sewn_edges_face_each_other(pattern)
     panels_are_placed_on_their_side_of_the_body(pattern, woman)
     if design.meta.bottom is not Bottom.PANTS:
         # The hem of trousers without flare begins at -0.0, in the bytes of published data sets too.
         a_spec_holds_no_negative_zeros(pattern)
-    first, second = (json.dumps(spec_from_pattern(drawn)) for drawn in (pattern, outfit(woman, design)))
+    first, second = (json.dumps(spec_from_pattern(drawn)) for drawn in (pattern, draw_garment(woman, design)))
     assert first == second
     assert design_from_dict(json.loads(json.dumps(design_to_dict(design)))) == design
 
@@ -198,7 +198,7 @@ def test_a_pattern_without_mends_equals_the_references(examples: Path, name: str
     """Names, seams, outlines, placements and labels, which the reference loses where a seam divides an edge."""
     folder = examples / "patterns" / name / body
     size, design = read_measurements(folder / "body_measurements.yaml"), read_design(folder / "design_params.yaml")
-    ours, theirs = outfit(size, design, mends=frozenset()), read_pattern(folder / f"{name}_specification.json")
+    ours, theirs = draw_garment(size, design, mends=frozenset()), read_pattern(folder / f"{name}_specification.json")
     found = compare(ours, theirs)
     assert found.structure == ()
     for panel in theirs.panels:
@@ -224,7 +224,7 @@ SKIRT = {"upper": None, "bottom": "SkirtCircle"}
 
 @pytest.mark.parametrize("suns", [0.25, 1.0, 1.7])
 def test_a_circle_skirt_is_as_wide_as_the_waist_and_its_hem_grows_by_the_suns(woman: Measurements, suns: float) -> None:
-    pattern = outfit(woman, design_from_dict({"meta": SKIRT, "flare-skirt": {"suns": suns, "length": 0.4}}))
+    pattern = draw_garment(woman, design_from_dict({"meta": SKIRT, "flare-skirt": {"suns": suns, "length": 0.4}}))
     panels = ("skirt_front", "skirt_back")
     length = woman.hips_line + 0.4 * woman.leg_length
     assert lengths(pattern, "top", panels) == pytest.approx(woman.waist)
@@ -234,12 +234,12 @@ def test_a_circle_skirt_is_as_wide_as_the_waist_and_its_hem_grows_by_the_suns(wo
 
 @pytest.mark.parametrize("kind", ["StraightWB", "FittedWB"])
 def test_a_waistband_closes_around_the_waist(woman: Measurements, kind: str) -> None:
-    pattern = outfit(woman, design_from_dict({"meta": SKIRT | {"wb": kind}, "waistband": {"waist": 1.0}}))
+    pattern = draw_garment(woman, design_from_dict({"meta": SKIRT | {"wb": kind}, "waistband": {"waist": 1.0}}))
     assert lengths(pattern, "top", ("wb_front", "wb_back")) == pytest.approx(woman.waist)
     assert lengths(pattern, "top", ("wb_back",)) == pytest.approx(woman.waist_back_width)
     if kind == "FittedWB":  # down to the girth of the hips
         design = design_from_dict({"meta": SKIRT | {"wb": kind}, "waistband": {"width": 1.0}})
-        assert lengths(outfit(woman, design), "bottom", ("wb_front", "wb_back")) == pytest.approx(woman.hips)
+        assert lengths(draw_garment(woman, design), "bottom", ("wb_front", "wb_back")) == pytest.approx(woman.hips)
 
 
 OWN = [upper for upper in Upper if not upper.garment.weight]
@@ -260,13 +260,13 @@ def test_garments_have_distinct_names_and_sections_distinct_classes() -> None:
     [
         (Measurements(waist=80.0), {}, r"measures height, .* are missing"),
         (replace(WOMAN, waist_back_width=90.0), {}, r"waist_back_width is 90\.0 cm, and waist is 80\.3 cm"),
-        (WOMAN, {"upper": None, "wb": "StraightWB"}, "an outfit without upper and bottom"),
+        (WOMAN, {"upper": None, "wb": "StraightWB"}, "a garment without upper and bottom"),
         (WOMAN, {"upper": "Cape", "bottom": "Pants"}, "nothing can be sewn to the hem of a Cape: set meta.wb and meta"),
     ],
 )
 def test_an_outfit_that_cannot_be_drawn_is_refused(size: Measurements, meta: dict[str, str], message: str) -> None:
     with pytest.raises((BodyError, PatternError), match=message):
-        outfit(size, design_from_dict({"meta": meta}))
+        draw_garment(size, design_from_dict({"meta": meta}))
 
 
 def test_an_overlay_that_sews_a_bottom_to_a_cape_is_refused() -> None:
@@ -313,7 +313,7 @@ def test_a_cape_falls_from_nape_to_hem_and_widens_with_its_part_of_a_circle(woma
     hems = []
     for circle in (0.5, 0.75, 1.0):
         design = {"meta": {"upper": "Cape"}, "cape": {"circle": circle, "length": 1.5}}
-        pattern = outfit(woman, design_from_dict(design))
+        pattern = draw_garment(woman, design_from_dict(design))
         x, y, _ = pattern.panel("cape_back").placement.apply(pattern.panel("cape_back").vertices).T
         assert np.ptp(y[np.abs(x) < 1e-6]) == pytest.approx(1.5 * woman.waist_line)
         hems.append(length(pattern.panel("cape_back"), "hem", "left_hem"))
@@ -323,7 +323,7 @@ def test_a_cape_falls_from_nape_to_hem_and_widens_with_its_part_of_a_circle(woma
 
 def test_a_cape_opens_below_its_clasp(woman: Measurements) -> None:
     designs = ({"meta": {"upper": "Cape"}, "cape": {"closed": closed}} for closed in (0.25, 1.0))
-    clasped, closed = (outfit(woman, design_from_dict(design)) for design in designs)
+    clasped, closed = (draw_garment(woman, design_from_dict(design)) for design in designs)
     sewn, free = (length(clasped.panel("right_cape_front"), name) for name in ("closing", "opening"))
     assert sewn == pytest.approx((sewn + free) / 4)
     assert length(closed.panel("right_cape_front"), "closing") == pytest.approx(sewn + free)
@@ -332,7 +332,7 @@ def test_a_cape_opens_below_its_clasp(woman: Measurements) -> None:
 
 @pytest.mark.parametrize("upper", OWN)
 def test_the_neckline_of_capes_and_ponchos_goes_round_the_back_of_the_neck(woman: Measurements, upper: Upper) -> None:
-    pattern = outfit(woman, design_from_dict({"meta": {"upper": upper.value}}))
+    pattern = draw_garment(woman, design_from_dict({"meta": {"upper": upper.value}}))
     necks = {panel.name: length(pattern.panel(panel.name), "neck") for panel in pattern.panels}
     behind = necks.pop(f"{upper.garment.section}_back")
     assert 0.8 * woman.neck_w < behind < sum(necks.values()) < 2.5 * woman.neck_w
@@ -342,7 +342,7 @@ def test_the_neckline_of_capes_and_ponchos_goes_round_the_back_of_the_neck(woman
 def test_only_the_mends_of_its_garments_change_an_outfit(woman: Measurements, name: str) -> None:
     design = design_from_dict(OUTFITS[name])
     others = ALL_MENDS - design.mends()
-    assert outfit(woman, design, mends=ALL_MENDS - others) == outfit(woman, design)
+    assert draw_garment(woman, design, mends=ALL_MENDS - others) == draw_garment(woman, design)
     assert design.mends() >= {Mend.EXPORT_PIVOT}
 
 
@@ -378,7 +378,7 @@ def test_the_hem_hangs_where_the_length_says_with_any_waistband(
         values = STRAIGHT | {"meta": {"bottom": kind.value, "wb": band and band.value}, "waistband": {"width": width}}
         section = SECTION.get(kind, "flare-skirt")
         design = design_from_dict(values | {section: STRAIGHT[section] | {"rise": rise}})
-        pattern = outfit(wearer, design)
+        pattern = draw_garment(wearer, design)
         height = length(pattern.panel("wb_back"), "right") if band else 0.0
         top = min(rise + width, 1.0) if band else rise
         worn = top * wearer.hips_line + 0.6 * wearer.leg_length
@@ -412,7 +412,9 @@ def test_darts_under_half_a_centimetre_are_folded_into_the_side(
     narrow = set()
     for size in narrowing(woman):
         design = design_from_dict({"meta": values, "godet-skirt": {"insert_depth": 10}})
-        unmended, mended = (outfit(size, design, mends=mends) for mends in (ALL_MENDS - {Mend.FOLDED_DART}, ALL_MENDS))
+        unmended, mended = (
+            draw_garment(size, design, mends=mends) for mends in (ALL_MENDS - {Mend.FOLDED_DART}, ALL_MENDS)
+        )
         for panel in mended.panels:
             assert length(panel, top) == pytest.approx(length(unmended.panel(panel.name), top), abs=0.01)
         before, after = check_pattern(unmended), check_pattern(mended)
@@ -424,7 +426,7 @@ def test_darts_under_half_a_centimetre_are_folded_into_the_side(
 def test_the_shortest_trousers_under_a_band_down_to_the_hips_have_their_length(woman: Measurements) -> None:
     """A centimetre above the hips is drawn, and a centimetre less below them."""
     values = {"meta": {"bottom": "Pants", "wb": "StraightWB"}, "waistband": {"width": 1.0}, "pants": {"length": 0.2}}
-    pattern = outfit(woman, design_from_dict(values))
+    pattern = draw_garment(woman, design_from_dict(values))
     assert not [fault for fault in check_pattern(pattern) if fault.rule is not Rule.SEAM_LENGTHS]
     side = sum(length(pattern.panel("pant_f_r"), edge) for edge in ("outside", "hip"))
     assert side == pytest.approx(0.2 * woman.leg_length, abs=0.1)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import Arc, curve_points
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.collar import RAISED, Collar, CollarDesign, hood_outline
 from gcd_dataset.generator.garments.neckline import (
     LeftNecklineDesign,
@@ -201,7 +201,7 @@ def top(
 ) -> Pattern:
     """A sleeveless top; its collar has the given style and parameters."""
     neckline = {**collar, "component": {**component, "style": style}}
-    return outfit(size, design_from_dict({"meta": {"upper": upper}, "collar": neckline}))
+    return draw_garment(size, design_from_dict({"meta": {"upper": upper}, "collar": neckline}))
 
 
 def round_length(half_width: float, depth: float) -> float:

@@ -21,10 +21,9 @@ from gcd_dataset.generator.garments import (
     Reject,
     check_design,
     design_from_dict,
-    outfit,
+    draw_garment,
     try_on,
 )
-from gcd_dataset.generator.garments.load import FRICTION, STIFFNESS, hip_load, strap_stretch
 from gcd_dataset.generator.garments.pants import cuff_and_leg_girth
 from gcd_dataset.generator.garments.rules import broken_by_weight, has_tight_bottom, is_too_tight
 from gcd_dataset.generator.garments.sampling import attempted_design
@@ -39,7 +38,7 @@ from gcd_dataset.generator.garments.sewable import (
     strap_width,
     widest_neckline,
 )
-from gcd_dataset.generator.garments.tightness import rings, trunk_rings
+from gcd_dataset.generator.garments.tightness import FRICTION, STIFFNESS, hip_load, rings, strap_stretch, trunk_rings
 from gcd_dataset.generator.garments.trunk import girth_below_waist
 from gcd_dataset.generator.garments.wardrobe import Upper
 from gcd_dataset.records import BodyPart, Edge, Measurements, Panel, Pattern, Placement
@@ -61,7 +60,7 @@ def reasons_of(size: Measurements, design: GarmentDesign) -> list[str]:
 def test_a_waistband_alone_is_rejected(woman: Measurements, wb: str | None) -> None:
     found = try_on(woman, design_from_dict({"meta": {"wb": wb}}))
     assert isinstance(found, Reject)
-    assert str(found).startswith("empty: an outfit without upper and bottom")
+    assert str(found).startswith("empty: a garment without upper and bottom")
 
 
 LONG_DRESS = {"meta": {"upper": "Shirt", "bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.9}}
@@ -161,7 +160,7 @@ def test_the_corners_of_known_shapes(woman: Measurements) -> None:
     assert angles == pytest.approx([90.0, 36.87, 53.13, 90, 45, 270, 45, 90], abs=0.01)
     # Its corners alone, without its arcs, run the other way round.
     skirt = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1.9}})
-    front = outfit(woman, skirt).panel("skirt_front")
+    front = draw_garment(woman, skirt).panel("skirt_front")
     assert corner_angles([edge_hulls(front)]) == pytest.approx([90.0] * 4, abs=1.0)
 
 
@@ -176,7 +175,7 @@ def test_a_cuff_too_tight_for_the_leg_is_rejected(woman: Measurements, top_ruffl
     cuff = {"type": "CuffBand", "cuff_len": 0.5, "top_ruffle": top_ruffle}
     design = {"meta": {"upper": None, "bottom": "Pants"}, "pants": {"length": 0.9, "cuff": cuff}}
     assert reasons(woman, design) == (["tight_cuff"] if tight else [])
-    pattern = outfit(woman, design_from_dict(design))
+    pattern = draw_garment(woman, design_from_dict(design))
     drawn = [panel for panel in pattern.panels if panel.name in ("pant_r_cuff_f", "pant_r_cuff_b")]
     tops = [panel.edge_lengths()[i] for panel in drawn for i, e in enumerate(panel.edges) if e.name == "top"]
     assert cuff_and_leg_girth(woman, design_from_dict(design).pants, 1.0)[0] == pytest.approx(sum(tops))
@@ -197,7 +196,7 @@ def test_a_shoulder_seam_under_three_centimetres_is_rejected(woman: Measurements
 def test_the_widest_neckline_leaves_three_centimetres_of_shoulder(woman: Measurements, upper: str) -> None:
     wide = design_from_dict({"meta": {"upper": upper}, "collar": {"width": 1.0}, "shirt": {"width": 1.3}})
     width = widest_neckline(woman, wide, wide.right_half())
-    pattern = outfit(woman, replace(wide, collar=replace(wide.collar, width=width)))
+    pattern = draw_garment(woman, replace(wide, collar=replace(wide.collar, width=width)))
     seams = [
         panel.edge_lengths()[i]
         for panel in pattern.panels
@@ -244,14 +243,14 @@ def test_a_neckline_near_the_armhole_leaves_no_strap(woman: Measurements) -> Non
     first = next(number for number, (_, rules) in enumerate(found) if rules)
     assert found[first][1] == ["narrow_strap"]
     assert all(rules for _, rules in found[first:])
-    pattern = outfit(woman, design_from_dict(deep_back(found[first][0])))
+    pattern = draw_garment(woman, design_from_dict(deep_back(found[first][0])))
     assert 0.0 < strap_width(pattern.panel("right_btorso")) < NARROWEST_STRAP
 
 
 def test_hulls_far_apart_leave_a_wide_strap(woman: Measurements) -> None:
     for depth in np.linspace(0.0, 1.9, 20):
         try:
-            pattern = outfit(woman, design_from_dict(deep_back(depth)))
+            pattern = draw_garment(woman, design_from_dict(deep_back(depth)))
         except PatternError:
             continue
         for panel in pattern.panels:
@@ -291,7 +290,7 @@ def test_the_limits_are_those_of_the_drape() -> None:
 def test_a_strap_is_stretched_by_weight_over_width_and_stiffness(woman: Measurements) -> None:
     """Hooke's law: all of the cloth hangs from the shoulder edges of four panels."""
     design = designed(PANELLED, flare_skirt={"length": 0.5})
-    drawn = outfit(woman, design)
+    drawn = draw_garment(woman, design)
     edges = [(panel, i) for panel in drawn.panels for i, edge in enumerate(panel.edges) if edge.name == "shoulder"]
     width = 0.01 * sum(float(panel.edge_lengths()[i]) for panel, i in edges)
     newtons = Fabric().density * 9.81 * sum(map(area, drawn.panels))
@@ -442,7 +441,7 @@ def test_a_skirt_too_narrow_for_hips_or_legs_is_rejected(woman: Measurements, na
 def test_the_hem_with_godets_is_what_is_left_of_the_hem_and_the_godets(woman: Measurements) -> None:
     design = tight("a hem with godets")
     (ring,) = [ring for ring in rings(woman, design) if ring.name == "a hem with godets"]
-    drawn = outfit(woman, design)
+    drawn = draw_garment(woman, design)
     assert ring.cloth == pytest.approx(
         total_length(drawn, "skirt_", "bottom") + total_length(drawn, "ins_skirt_", "hem")
     )
@@ -451,7 +450,7 @@ def test_the_hem_with_godets_is_what_is_left_of_the_hem_and_the_godets(woman: Me
 def test_the_narrowest_ring_of_a_tapered_base_is_its_hem(woman: Measurements) -> None:
     design = tight("a pencil skirt")
     cloth = [ring.cloth for ring in rings(woman, design) if ring.name == "a pencil skirt"]
-    drawn = outfit(woman, design)
+    drawn = draw_garment(woman, design)
     base = sum(total_length(drawn, f"skirt_{side}", "bottom") for side in ("front", "back"))
     levels = sum(total_length(drawn, f"skirt_{side}_0", "bottom") for side in ("front", "back"))
     assert min(cloth) == pytest.approx(base - levels, rel=1e-3)
@@ -461,7 +460,7 @@ def test_a_skirt_without_gathers_is_as_wide_as_the_waist(woman: Measurements) ->
     design = tight("a skirt")
     own = set(rings(woman, design)) - set(trunk_rings(woman, design))
     (ring,) = own
-    assert ring.cloth == pytest.approx(total_length(outfit(woman, design), "skirt_", "bottom"))
+    assert ring.cloth == pytest.approx(total_length(draw_garment(woman, design), "skirt_", "bottom"))
     assert ring.body == woman.hips
 
 

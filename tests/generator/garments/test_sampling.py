@@ -24,11 +24,11 @@ from gcd_dataset.generator.garments import (
 from gcd_dataset.generator.garments.design import kind_of
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
-from gcd_dataset.generator.garments.redrawing import TRIES, Redrawing, Remedy
 from gcd_dataset.generator.garments.rules import DrawnGarment, check_design, garment_length, room_to_floor
 from gcd_dataset.generator.garments.sewable import SewingFault
 from gcd_dataset.generator.garments.space import leaves, to_dict, value_at
 from gcd_dataset.generator.garments.wardrobe import Upper
+from gcd_dataset.generator.garments.wearable import TRIES, Redrawing, Remedy
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.seeding import Stage, rng
 

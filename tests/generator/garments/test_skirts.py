@@ -11,11 +11,11 @@ import pytest
 from gcd_dataset.curves import Arc, curve_length
 from gcd_dataset.errors import BodyError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
+from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.design import GarmentDesign, MetaDesign
 from gcd_dataset.generator.garments.garment import Cutting
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
-from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign, pencil_skirt
 from gcd_dataset.generator.garments.space import draw
 from gcd_dataset.generator.garments.wardrobe import Bottom
@@ -298,7 +298,7 @@ def test_random_skirts_on_random_bodies_can_be_sewn(kind: Bottom, mends: frozens
         size = measure(build_body(draw_shape(rng)))
         for _ in range(6):
             drawn = replace(draw(GarmentDesign, rng), meta=MetaDesign(None, None, kind))
-            pattern = outfit(size, changed(drawn, WEARABLE[kind]), mends=mends)
+            pattern = draw_garment(size, changed(drawn, WEARABLE[kind]), mends=mends)
             assert not errors(pattern)
 
 
@@ -306,7 +306,7 @@ def test_random_skirts_on_random_bodies_can_be_sewn(kind: Bottom, mends: frozens
 def test_a_skirt_has_the_length_of_its_record(woman: Measurements, kind: Bottom) -> None:
     design = replace(GarmentDesign(), meta=MetaDesign(None, None, kind))
     told = kind.garment.length(woman, design, bottom_rise(design))
-    heights = [panel.placement.apply(panel.vertices)[:, 1] for panel in outfit(woman, design).panels]
+    heights = [panel.placement.apply(panel.vertices)[:, 1] for panel in draw_garment(woman, design).panels]
     assert told > woman.hips_line
     if kind in (Bottom.GATHERED, Bottom.PENCIL, Bottom.PANELS):
         assert max(h.max() for h in heights) - min(h.min() for h in heights) == pytest.approx(told, abs=1.5)

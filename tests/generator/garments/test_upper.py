@@ -9,7 +9,7 @@ import pytest
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import SHORTEST_EDGE
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.records import Measurements, Pattern
 from tests.generator.garments.measured import edge_lengths, length, lengths
@@ -32,7 +32,7 @@ def labels(pattern: Pattern, panel: str) -> set[str]:
 
 def test_a_shirt_is_as_wide_as_the_bust_and_as_long_as_asked(woman: Measurements) -> None:
     design = design_from_dict({"meta": SHIRT, "shirt": {"width": 1.1, "flare": 1.0, "length": 1.3}})
-    pattern = outfit(woman, design)
+    pattern = draw_garment(woman, design)
     assert lengths(pattern, "bottom", TORSOS) == pytest.approx(1.1 * woman.bust)
     # The armhole hangs from the shoulder line, which rises from the side's upper end to the shoulder's.
     rise = tan(woman.shoulder_incl) * (0.5 * 1.1 * woman.back_width - 0.5 * woman.sleeve_balance)
@@ -43,21 +43,21 @@ def test_a_shirt_is_as_wide_as_the_bust_and_as_long_as_asked(woman: Measurements
 def test_shoulders_wider_than_the_shirt_are_refused(woman: Measurements) -> None:
     broad = replace(woman, shoulder_w=70.0)
     with pytest.raises(PatternError, match=r"has no room for armholes 34\.0 cm from the centre: raise shirt\.width"):
-        outfit(broad, design_from_dict({"meta": SHIRT}))
+        draw_garment(broad, design_from_dict({"meta": SHIRT}))
 
 
 @pytest.mark.parametrize("kind", ["ArmholeSquare", "ArmholeAngle", "ArmholeCurve"])
 @pytest.mark.parametrize("meta", [SHIRT, FITTED])
 def test_armholes_of_all_shapes_end_at_the_same_places(woman: Measurements, meta: dict[str, str], kind: str) -> None:
-    plain = outfit(woman, design_from_dict({"meta": meta}))
-    shaped = outfit(woman, design_from_dict({"meta": meta, "sleeve": {"armhole_shape": kind}}))
+    plain = draw_garment(woman, design_from_dict({"meta": meta}))
+    shaped = draw_garment(woman, design_from_dict({"meta": meta, "sleeve": {"armhole_shape": kind}}))
     for name in TORSOS:
         for edge in ("side", "shoulder", "centre"):
             assert lengths(shaped, edge, (name,)) == pytest.approx(lengths(plain, edge, (name,)))
 
 
 def test_a_square_armhole_goes_in_and_then_up(woman: Measurements) -> None:
-    pattern = outfit(woman, design_from_dict({"meta": SHIRT, "sleeve": {"armhole_shape": "ArmholeSquare"}}))
+    pattern = draw_garment(woman, design_from_dict({"meta": SHIRT, "sleeve": {"armhole_shape": "ArmholeSquare"}}))
     inwards, upwards = sorted(edge_lengths(pattern.panel("left_btorso"), "armhole"))
     assert inwards == pytest.approx(0.5 * (1.05 * woman.back_width - woman.sleeve_balance))
     assert upwards == pytest.approx(1.2 * woman.eased_armscye_depth)
@@ -67,7 +67,7 @@ def test_a_square_armhole_goes_in_and_then_up(woman: Measurements) -> None:
 
 
 def test_a_fitted_shirt_closes_around_the_waist(wearer: Measurements) -> None:
-    pattern = outfit(wearer, design_from_dict({"meta": FITTED}))
+    pattern = draw_garment(wearer, design_from_dict({"meta": FITTED}))
     fronts, backs = TORSOS[:2], TORSOS[2:]
     assert lengths(pattern, "bottom", fronts) == pytest.approx(wearer.waist - wearer.waist_back_width)
     # The back's waist is curved, and so a little longer than a straight line.
@@ -75,7 +75,7 @@ def test_a_fitted_shirt_closes_around_the_waist(wearer: Measurements) -> None:
 
 
 def test_the_legs_of_every_dart_are_sewn_to_each_other(wearer: Measurements) -> None:
-    pattern = outfit(wearer, design_from_dict({"meta": FITTED}))
+    pattern = draw_garment(wearer, design_from_dict({"meta": FITTED}))
     for name in TORSOS:
         panel = pattern.panel(name)
         legs = {
@@ -90,7 +90,7 @@ def test_the_legs_of_every_dart_are_sewn_to_each_other(wearer: Measurements) -> 
 
 
 def test_the_side_dart_points_at_the_bust(woman: Measurements) -> None:
-    panel = outfit(woman, design_from_dict({"meta": FITTED})).panel("left_ftorso")
+    panel = draw_garment(woman, design_from_dict({"meta": FITTED})).panel("left_ftorso")
     legs = [i for i, edge in enumerate(panel.edges) if edge.name.startswith("side_dart")]
     tip = panel.edge_ends(min(legs))[1]
     under, over = panel.edge_ends(min(legs))[0], panel.edge_ends(max(legs))[1]
@@ -100,7 +100,7 @@ def test_the_side_dart_points_at_the_bust(woman: Measurements) -> None:
 
 def test_a_waist_as_wide_as_the_bust_needs_no_dart(woman: Measurements) -> None:
     stout = replace(woman, waist=woman.bust + 4.0, waist_back_width=woman.back_width + 1.0)
-    pattern = outfit(stout, design_from_dict({"meta": FITTED}))
+    pattern = draw_garment(stout, design_from_dict({"meta": FITTED}))
     assert {edge.name for name in TORSOS for edge in pattern.panel(name).edges if "dart" in edge.name} == {
         "side_dart.0",
         "side_dart.1",
@@ -111,14 +111,14 @@ def test_a_waist_as_wide_as_the_bust_needs_no_dart(woman: Measurements) -> None:
 def test_measures_without_room_for_a_side_dart_are_refused(woman: Measurements) -> None:
     flat = replace(woman, waist_over_bust_line=woman.waist_line)
     with pytest.raises(PatternError, match=r"right_ftorso: waist_over_bust_line of 35\.8 cm leaves no side dart"):
-        outfit(flat, design_from_dict({"meta": FITTED}))
+        draw_garment(flat, design_from_dict({"meta": FITTED}))
 
 
 @pytest.mark.parametrize("sleeveless", [True, False])
 @pytest.mark.parametrize("meta", [SHIRT, FITTED])
 def test_the_deepest_armhole_leaves_side_to_sew(wearer: Measurements, meta: dict[str, str], sleeveless: bool) -> None:
     arm = {"connecting_width": 2.0, "sleeveless": sleeveless}
-    pattern = outfit(wearer, design_from_dict({"meta": meta, "sleeve": arm, "shirt": {"length": 0.7}}))
+    pattern = draw_garment(wearer, design_from_dict({"meta": meta, "sleeve": arm, "shirt": {"length": 0.7}}))
     for name in TORSOS:
         assert min(edge_lengths(pattern.panel(name), "side")) >= 1.0 - 1e-9
 
@@ -128,14 +128,14 @@ def test_the_reference_cuts_through_the_side_of_a_back(woman: Measurements) -> N
     with pytest.raises(
         PatternError, match=r"an armhole 22\.9 cm deep .* room for 22\.8 cm: lower sleeve\.connecting_width"
     ):
-        outfit(woman, design, mends=ALL_MENDS - {left_out})
+        draw_garment(woman, design, mends=ALL_MENDS - {left_out})
 
 
 # ---------------------------------------------------------------------------------------------------- strapless, uneven
 
 
 def test_sides_of_a_strapless_top_are_equally_long(wearer: Measurements) -> None:
-    pattern = outfit(wearer, design_from_dict(STRAPLESS))
+    pattern = draw_garment(wearer, design_from_dict(STRAPLESS))
     front, back = (lengths(pattern, "side", (name,)) for name in ("right_ftorso", "right_btorso"))
     assert front == pytest.approx(back)
     assert all(labels(pattern, name) == {"strapless_top"} for name in TORSOS)
@@ -143,20 +143,22 @@ def test_sides_of_a_strapless_top_are_equally_long(wearer: Measurements) -> None
 
 
 def test_a_strapless_back_without_depth_ends_at_the_level_of_the_shoulder(woman: Measurements) -> None:
-    panel = outfit(woman, design_from_dict(STRAPLESS | {"collar": {"bc_depth": 0.0}})).panel("right_btorso")
+    panel = draw_garment(woman, design_from_dict(STRAPLESS | {"collar": {"bc_depth": 0.0}})).panel("right_btorso")
     level = woman.waist_line - tan(woman.shoulder_incl) * 0.5 * (woman.back_width - woman.shoulder_w)
     hollow = 0.25 * tan(woman.shoulder_incl) * 0.5 * woman.back_width
     assert sum(edge_lengths(panel, "centre")) == pytest.approx(level - hollow)
 
 
 def test_only_fitted_shirts_are_strapless(woman: Measurements) -> None:
-    plain, asked = (outfit(woman, design_from_dict({"meta": SHIRT, "shirt": {"strapless": s}})) for s in (False, True))
+    plain, asked = (
+        draw_garment(woman, design_from_dict({"meta": SHIRT, "shirt": {"strapless": s}})) for s in (False, True)
+    )
     assert plain == asked
 
 
 def test_halves_of_one_design_are_mirror_images(wearer: Measurements) -> None:
     for meta in (SHIRT, FITTED):
-        pattern = outfit(wearer, design_from_dict({"meta": meta, "sleeve": {"sleeveless": False}}))
+        pattern = draw_garment(wearer, design_from_dict({"meta": meta, "sleeve": {"sleeveless": False}}))
         for name in (panel.name for panel in pattern.panels if panel.name.startswith("right")):
             right, left = (pattern.panel(n) for n in (name, name.replace("right", "left")))
             # Both run counter-clockwise as seen from outside, so the image's loop runs the other way.
@@ -169,7 +171,7 @@ def test_a_top_may_be_strapless_on_one_side(woman: Measurements, side: str) -> N
     bare: dict[str, Any] = {"strapless": True}
     left = {"enable_asym": True, "shirt": bare if side == "left" else {}}
     values = {"meta": FITTED, "shirt": bare if side == "right" else {}, "collar": {"bc_depth": 0.5}, "left": left}
-    pattern = outfit(woman, design_from_dict(values))
+    pattern = draw_garment(woman, design_from_dict(values))
     other = "left" if side == "right" else "right"
     assert labels(pattern, f"{side}_ftorso") == {"strapless_top"}
     assert labels(pattern, f"{other}_ftorso") == {f"{other}_armhole", f"{other}_collar"}
@@ -182,7 +184,9 @@ def test_a_top_may_be_strapless_on_one_side(woman: Measurements, side: str) -> N
 def test_an_uneven_shirt_is_drawn_from_both_designs(woman: Measurements) -> None:
     values = {"width": 1.2, "flare": 1.0}
     left = {"enable_asym": True, "shirt": values, "collar": {"f_collar": "VNeckHalf", "width": 0.2}}
-    pattern = outfit(woman, design_from_dict({"meta": SHIRT, "shirt": {"width": 1.0, "flare": 1.0}, "left": left}))
+    pattern = draw_garment(
+        woman, design_from_dict({"meta": SHIRT, "shirt": {"width": 1.0, "flare": 1.0}, "left": left})
+    )
     assert lengths(pattern, "bottom", ("right_ftorso", "right_btorso")) == pytest.approx(0.5 * woman.bust)
     assert lengths(pattern, "bottom", ("left_ftorso", "left_btorso")) == pytest.approx(0.6 * woman.bust)
     kinds = {
@@ -194,12 +198,12 @@ def test_an_uneven_shirt_is_drawn_from_both_designs(woman: Measurements) -> None
 
 def test_an_uneven_top_wears_no_collar(woman: Measurements) -> None:
     values = {"meta": SHIRT, "collar": {"component": {"style": "Turtle"}}, "left": {"enable_asym": True}}
-    assert not any("collar" in panel.name for panel in outfit(woman, design_from_dict(values)).panels)
+    assert not any("collar" in panel.name for panel in draw_garment(woman, design_from_dict(values)).panels)
 
 
 @pytest.mark.parametrize("upper_kind", ["Shirt", "FittedShirt"])
 def test_the_hem_goes_round_the_wearer(woman: Measurements, upper_kind: str) -> None:
-    pattern = outfit(woman, design_from_dict({"meta": {"upper": upper_kind, "wb": "StraightWB"}}))
+    pattern = draw_garment(woman, design_from_dict({"meta": {"upper": upper_kind, "wb": "StraightWB"}}))
     sewn = {
         (seam.left.panel, seam.right.panel) for seam in pattern.seams if seam.right.panel.startswith("wb_")
     }  # fmt: skip
@@ -226,7 +230,7 @@ ARMS: dict[str, dict[str, Any]] = {
 def sleeved(size: Measurements, *, upper: str = "Shirt", mends: frozenset[Mend] = ALL_MENDS, **sleeve: Any) -> Pattern:
     """A shirt with long sleeves; ``sleeve`` changes parameters of the sleeves."""
     values = {"meta": {"upper": upper}, "sleeve": {"length": 0.7, "sleeveless": False} | sleeve}
-    return outfit(size, design_from_dict(values), mends=mends)
+    return draw_garment(size, design_from_dict(values), mends=mends)
 
 
 @pytest.mark.parametrize("upper", ["Shirt", "FittedShirt"])
@@ -289,7 +293,7 @@ def test_a_standing_shoulder_continues_the_line_of_the_shoulder(woman: Measureme
 
 def test_a_left_sleeve_can_differ(woman: Measurements) -> None:
     left = {"enable_asym": True, "sleeve": {"sleeveless": False, "length": 0.4, "cuff": {"type": "CuffSkirt"}}}
-    pattern = outfit(woman, design_from_dict({"meta": {"upper": "Shirt"}, "left": left}))
+    pattern = draw_garment(woman, design_from_dict({"meta": {"upper": "Shirt"}, "left": left}))
     names = {panel.name for panel in pattern.panels if "torso" not in panel.name}
     assert names == {"left_sleeve_f", "left_sleeve_b", "sl_left_cuff_skirt_f", "sl_left_cuff_skirt_b"}
     assert all(panel.placement.translation[0] > 0 for panel in pattern.panels if "torso" not in panel.name)
@@ -307,7 +311,7 @@ def test_a_surplus_of_the_front_moves_to_the_back_if_it_can_be_sewn(woman: Measu
 
 def test_a_sleeve_starts_clear_of_a_wide_shirt(woman: Measurements) -> None:
     ours, reference = (
-        outfit(woman, design_from_dict({"meta": {"upper": "Shirt"}, "shirt": {"width": 1.3, "flare": 1.6},
+        draw_garment(woman, design_from_dict({"meta": {"upper": "Shirt"}, "shirt": {"width": 1.3, "flare": 1.6},
                                         "sleeve": {"sleeveless": False, "connect_ruffle": 2.0}}), mends=mends)
         for mends in (ALL_MENDS, ALL_MENDS - {Mend.SLEEVE_START})
     )  # fmt: skip

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.garments import design_from_dict, outfit
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.collar import Collar
 from gcd_dataset.generator.garments.wardrobe import Upper
 from gcd_dataset.generator.mesh import build_box_mesh, coarsen, turned_panels
@@ -297,7 +297,7 @@ def same_direction_edges(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "n 2"
 
 @pytest.mark.parametrize("name", BATTERY)
 def test_no_directed_edge_occurs_twice(name: str) -> None:
-    mesh = build_box_mesh(outfit(WOMAN, design_from_dict(BATTERY[name])), spacing=5.0)
+    mesh = build_box_mesh(draw_garment(WOMAN, design_from_dict(BATTERY[name])), spacing=5.0)
     assert not len(same_direction_edges(mesh.faces))
     assert not len(same_direction_edges(coarsen(mesh).mesh.faces))
 
@@ -305,7 +305,7 @@ def test_no_directed_edge_occurs_twice(name: str) -> None:
 @pytest.mark.parametrize(("standing", "expected"), [(True, LAPELS), (False, LAPELS | ROUND)])
 def test_lapels_are_sewn_in_wrong_side_out(standing: bool, expected: set[str]) -> None:
     collar = {"component": {"style": "SimpleLapel", "lapel_standing": standing}}
-    pattern = outfit(WOMAN, design_from_dict({"meta": {"upper": "Shirt"}, "collar": collar}))
+    pattern = draw_garment(WOMAN, design_from_dict({"meta": {"upper": "Shirt"}, "collar": collar}))
     mesh = build_box_mesh(pattern, spacing=5.0)
     assert set(turned_panels(pattern, mesh)) == expected
     assert set(turned_panels(pattern, coarsen(mesh).mesh)) == expected
@@ -313,7 +313,7 @@ def test_lapels_are_sewn_in_wrong_side_out(standing: bool, expected: set[str]) -
 
 @pytest.mark.parametrize("name", ["shirt", "Pants", "Shirt, Hood2Panels, standing False"])
 def test_other_garments_have_no_turned_panel(name: str) -> None:
-    pattern = outfit(WOMAN, design_from_dict(BATTERY[name]))
+    pattern = draw_garment(WOMAN, design_from_dict(BATTERY[name]))
     assert turned_panels(pattern, build_box_mesh(pattern, spacing=5.0)) == ()
 
 

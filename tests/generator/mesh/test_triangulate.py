@@ -6,9 +6,8 @@ import shapely
 from scipy.spatial import Delaunay, cKDTree
 
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.flips import restore_segments
 from gcd_dataset.generator.mesh.lattice import PITCH, build_lattice
-from gcd_dataset.generator.mesh.triangulate import LONGEST, Loops, triangulate, triangulate_loops
+from gcd_dataset.generator.mesh.triangulate import LONGEST, Loops, restore_segments, triangulate, triangulate_loops
 from tests.generator.mesh.shapes import (
     angles,
     areas,
