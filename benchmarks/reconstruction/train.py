@@ -42,6 +42,7 @@ from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
 from benchmarks.reconstruction.training import (
     CHECKPOINT,
     CURVES,
+    Check,
     FreshPool,
     StoppedError,
     TrainConfig,
@@ -254,7 +255,10 @@ def _answered(
     if hasattr(module, "build"):
         torch.manual_seed(options.config.seed)
         learner = module.build(smoke=options.smoke, options=options.sizes)
-        trained, received = _trained(learner, split, options, device, begun)
+        learner.to(device)
+        watched = learner.prepare(split.check, device=device)
+        check = _Check(split.check, watched, options.out, judge_of(options.task, watching=True))
+        trained, received = trained_by(options, learner, split, device, check=check, begun=begun)
     if _rank():
         return None
     trained_at = time.perf_counter()
@@ -283,7 +287,8 @@ def require_usable(options: Options) -> None:
         if options.sizes or options.fresh:
             raise ConfigError(f"{options.model} has no network and no training: leave out --set and --fresh")
     elif options.sizes or options.fresh:
-        learner = module.build(smoke=options.smoke, options=options.sizes)
+        with torch.random.fork_rng(devices=[]):
+            learner = module.build(smoke=options.smoke, options=options.sizes)
         learner.require_fields(options.task.extra)
         if options.fresh and (learner.encoder() is None or options.source or options.leave_out):
             raise ConfigError("--fresh: needs a model that encodes garments, no --source, and no --leave-out")
@@ -300,11 +305,11 @@ def _require_own_folder(options: Options) -> None:
             raise ConfigError(f"{options.out} holds {name} of a training: give {options.model} another folder")
 
 
-def load_split(options: Options) -> Split:
-    """The garments; the first rank makes them, the others read its cache."""
+def load_split(options: Options, *, checked: int = 0) -> Split:
+    """The garments; the first rank makes them, the others read its cache. ``checked``: as of ``Task.load``."""
     if _rank():
         dist.barrier()
-    load: Callable[..., Split] = partial(options.task.load, data=options.data, **_recipe(options))
+    load: Callable[..., Split] = partial(options.task.load, data=options.data, checked=checked, **_recipe(options))
     if options.source:
         load = partial(options.task.read, options.source)
     split = load(options.train, workers=options.workers, tested=options.test)
@@ -326,14 +331,14 @@ def _rank() -> int:
 # --------------------------------------------------------------------------------------------------------- the training
 
 
-def _trained(
-    learner: Learner[Any, Any], split: Split, options: Options, device: torch.device, begun: float
+def trained_by(
+    options: Options, learner: Learner[Any, Any], split: Split, device: torch.device, *, check: Check, begun: float
 ) -> tuple[Trained, int]:
-    """The trained learner, and the number of fresh garments received; the call began at ``begun``."""
-    learner.to(device)
+    """The trained learner, and the number of fresh garments received; the call began at ``begun``.
+
+    Raises ``StoppedError`` for a training that the time limit ends.
+    """
     examples = learner.prepare(split.train, device=device, workers=options.workers)
-    watched = learner.prepare(split.check, device=device)
-    check = _Check(split.check, watched, options.out, judge_of(options.task, watching=True))
     if options.fresh:
         examples = _pool(learner, split.train, options, device)
     limit = 60 * options.limit_minutes - (time.perf_counter() - begun) if options.limit_minutes else math.inf
@@ -525,17 +530,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("model", choices=MODELS)
     add_arguments(parser)
     args = parser.parse_args(arguments)
-    try:
+
+    def call() -> None:
         report = run(options_from(args, args.model))
-    except StoppedError as stopped:
-        print(f"train {args.model}: {stopped}", file=sys.stderr)
-        return UNFINISHED
-    except GcdError as error:
-        print(f"train {args.model}: {error}", file=sys.stderr)
-        return 1
-    if report is not None:
-        for name, (mean, low, high) in report["scores"].items():
+        for name, (mean, low, high) in report["scores"].items() if report else ():
             print(f"{args.task}.{args.model}.{name} {mean:.4g} ({low:.4g} to {high:.4g})")
+
+    return exit_code(f"train {args.model}", call)
+
+
+def exit_code(program: str, call: Callable[[], None]) -> int:
+    """The exit code of a call, whose error is printed as one line: 0, 1, or ``UNFINISHED``."""
+    try:
+        call()
+    except GcdError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return UNFINISHED if isinstance(error, StoppedError) else 1
     return 0
 
 

@@ -3,6 +3,7 @@
 import argparse
 import csv
 import json
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import trimesh
 
+from benchmarks.cases.render import embree_maps
+from benchmarks.peers.pyrender_egl import pyrender_depths, require_pyrender, vertex_normals
 from benchmarks.reconstruction.derived import FIRST_PANEL, SHOWN_CLASSES
 from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import patterns_from
@@ -23,7 +27,6 @@ from benchmarks.reconstruction.picture_inputs import (
     Share,
     load_garment,
     rendered,
-    rendering,
     views_of,
 )
 from benchmarks.reconstruction.picture_model import PictureNet
@@ -32,7 +35,7 @@ from benchmarks.run import main
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
-from gcd_dataset.generator.render import PrintKind, Ranges
+from gcd_dataset.generator.render import PrintKind, Ranges, look_at
 from gcd_dataset.generator.render.looks import LOOKS
 from gcd_dataset.metrics import PatternScore, score_pattern
 from gcd_dataset.records import Drape, Outcome
@@ -177,38 +180,27 @@ def test_pixel_losses_are_least_for_the_truth() -> None:
     assert net.pixel_losses(torch.zeros(1, 1, 32), other)["borders"] > 2 * found[1]["borders"]
 
 
-def test_processes_render_the_same_pictures_as_a_thread(folder: Path) -> None:
-    by_count = []
-    for processes in (1, 2):
-        with rendering(
-            str(folder), range(3), [Input.DRAWN], seed=0, size=16, device="cpu", processes=processes, readings=1
-        ) as batches:
-            by_count.append({k: p for b in batches for k, p in zip(b.positions.tolist(), b.pictures, strict=True)})
-    assert set(by_count[0]) == set(by_count[1]) == {0, 1, 2}
-    assert all((by_count[0][k] == by_count[1][k]).all() for k in range(3))
-
-
 # ------------------------------------------------------------------------------------------------ pool, model, training
 
 
-def test_a_pool_holds_the_latest_readings() -> None:
+def test_a_pool_holds_the_latest_readings(folder: Path) -> None:
     def batches() -> Iterator[Rendered]:
         for k in range(0, 100, 2):
             pictures = np.zeros((2, SIDES, 8, 8, 3), np.uint8)
             pictures[:] = np.array([k, k + 1])[:, None, None, None, None]
             yield Rendered(Input.DRAWN, np.array([k, k + 1]), pictures, pictures[..., 0])
 
-    pool = Pool(batches(), 4, 8, torch.device("cpu"))
-    chance = torch.Generator().manual_seed(0)
-    pool.advance(3)
+    targets = load(folder, options(folder)).targets[torch.zeros(100, dtype=torch.long)]
+    pool = Pool(batches(), replace(targets, slimness=torch.arange(100.0)), 4, 8, fresh=2)
+    pool.receive(3)
     assert pool.added == 4
-    pool.advance(1)
+    pool.receive(1)
     assert pool.added == 4
-    pool.advance(2)
-    positions, pictures, labels = pool.draw(64, chance)
-    assert set(positions.tolist()) == {2, 3, 4, 5}
-    assert torch.equal(pictures[:, 1, 0, 0, 2].long(), positions)
-    assert torch.equal(labels[:, 1, 0, 0].long(), positions)
+    pool.advance(0)
+    batch = pool.batch(torch.zeros(64))
+    assert set(batch.slimness.tolist()) == {2, 3, 4, 5}
+    assert torch.equal(batch.pictures[:, 1, 0, 0, 2].float(), batch.slimness)
+    assert torch.equal(batch.shown[:, 1, 0, 0].float(), batch.slimness)
 
 
 def test_the_network_tells_the_pictures_apart() -> None:
@@ -228,7 +220,7 @@ def test_the_same_seed_trains_the_same_network(folder: Path) -> None:
     runs = []
     for _ in range(2):
         with pool_of(Input.PLAIN, data, args) as pool:
-            runs.append(train(pool, data.targets, Input.PLAIN, args.steps, args)[1])
+            runs.append([row["loss"] for row in train(pool, data, args.steps, args)[1]])
     assert runs[0] == runs[1]
 
 
@@ -286,3 +278,42 @@ def test_the_case_reports_and_a_repeated_call_continues(
 def test_invalid_options_are_refused(changes: dict[str, object], expected: str, folder: Path) -> None:
     with pytest.raises(ConfigError, match=expected):
         options(folder, **changes)
+
+
+# --------------------------------------------------------------------------------------------------------------- render
+
+
+def test_embrees_depth_and_shadow_of_a_ball() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=20.0)
+    camera = look_at(np.array([0.0, 0.0, 200.0]), np.zeros(3), focal=4.0)
+    light = np.array([1.0, 0.0, 0.0])
+    depth, lit = embree_maps(np.asarray(ball.vertices), np.asarray(ball.faces), camera, light, 65)
+    assert depth[32, 32] == pytest.approx(180.0, abs=0.05)
+    assert np.isinf(depth[0, 0])
+    assert lit[32, 45] and not lit[32, 20]
+
+
+def test_vertex_normals_of_a_ball_point_outwards() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=7.0)
+    normals = vertex_normals(np.asarray(ball.vertices), np.asarray(ball.faces))
+    assert normals == pytest.approx(np.asarray(ball.vertices) / 7.0, abs=0.03)
+
+
+def test_the_remedy_for_a_missing_pyrender_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyrender", None)
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "egl")
+    monkeypatch.setenv("LP_NUM_THREADS", "0")
+    with pytest.raises(ConfigError, match="pip install pyrender"):
+        require_pyrender()
+
+
+def test_pyrenders_depth_of_a_ball() -> None:
+    pytest.importorskip("pyrender", reason="pyrender is not installed: make an environment of its own")
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=20.0)
+    vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces)
+    camera = look_at(np.array([0.0, 0.0, 200.0]), np.array([0.0, 10.0, 0.0]), focal=4.0)
+    [depth] = pyrender_depths(require_pyrender(), vertices, faces, vertex_normals(vertices, faces), [camera], 65)
+    expected, _ = embree_maps(vertices, faces, camera, np.array([1.0, 0.0, 0.0]), 65)
+    seen = np.isfinite(expected)
+    assert (seen == (depth > 0)).mean() > 0.99
+    assert np.median(np.abs(depth - expected)[seen & (depth > 0)]) < 0.2

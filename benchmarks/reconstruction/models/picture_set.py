@@ -54,14 +54,16 @@ class PictureTargets(PanelTargets):
 class PictureSet(Learner[PictureTargets, Pattern]):
     """Pictures to a pattern."""
 
-    def __init__(self, config: NetConfig, *, views: int = PICTURES) -> None:
+    def __init__(self, config: NetConfig, *, views: int = PICTURES, size: int = PICTURE_SIZE) -> None:
         """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees.
+
+        ``size``: width and height of the pictures [pixels].
 
         Raises ``ConfigError`` for a number of pictures that garments do not have.
         """
         super().__init__()
         self.views = require_views(views)
-        self.net = PictureNet(config, views=views, size=PICTURE_SIZE, seen=config.seen)
+        self.net = PictureNet(config, views=views, size=size, seen=config.seen)
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPictures[PictureTargets]:
         """Pictures and targets of the garments."""
