@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from benchmarks.cases.figures import Measured
+from benchmarks.cases.figures import CaseResult
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = (
@@ -21,7 +21,7 @@ PACKAGES = (
 )  # fmt: skip
 
 
-def report_text(case: str, about: str, measured: Measured, arguments: Sequence[str]) -> str:
+def report_text(case: str, about: str, measured: CaseResult, arguments: Sequence[str]) -> str:
     """The report of a case; ``arguments`` follow ``python -m`` in the command."""
     figures = [{"figure": f"{case}.{f.metric}", "value": _short(f.value), "unit": f.unit} for f in measured.figures]
     provenance = {

@@ -1,10 +1,10 @@
-"""The benchmark cases by name; each is a module of the form ``figures.Case``, imported on use."""
+"""The benchmark cases by name; each is a module of the form ``figures.CaseModule``, imported on use."""
 
 from collections.abc import Mapping
 from importlib import import_module
 from typing import cast
 
-from benchmarks.cases.figures import Case
+from benchmarks.cases.figures import CaseModule
 
 __all__ = ["CASES", "load_case"]
 
@@ -28,6 +28,6 @@ CASES: Mapping[str, str] = {
 """Case to its module, imported on use: each has heavy dependencies of its own."""
 
 
-def load_case(name: str) -> Case:
+def load_case(name: str) -> CaseModule:
     """The module of a case in ``CASES``."""
-    return cast(Case, import_module(CASES[name]))
+    return cast(CaseModule, import_module(CASES[name]))

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases.figures import CaseResult, Figure
 from benchmarks.draping.failures import write_failures
 from benchmarks.draping.other_bodies import OTHER_BODIES, OtherBody, dressed, other_body
 from benchmarks.draping.workload import Worn, is_clean
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--failures", type=Path, help="folder for pictures of the garments that failed, by body")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Drape ``count`` garments on each body. Raises ``ConfigError`` if no body can be built."""
     if options.count < 1:
         raise ConfigError(f"count is {options.count}: give 1 or more")
@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> Measured:
             rows.append(_row(name, options.count, worn, drapes, seconds))
             print(f"benchmarks.run bodies_draped: {rows[-1]}", file=sys.stderr, flush=True)
             figures += _figures(name, drapes, seconds)
-    return Measured(figures, rows)
+    return CaseResult(figures, rows)
 
 
 def _wearers(options: argparse.Namespace) -> Mapping[str, OtherBody]:

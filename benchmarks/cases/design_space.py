@@ -44,7 +44,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases.figures import CaseResult, Figure
 from benchmarks.reference_sampler import reference_design, reject_reason
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
@@ -87,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plot", type=Path, help="PNG with the distributions of all parameters")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Draw with both samplers and compare. Raises ``ConfigError`` for a count below 1."""
     for name in ("count", "reference_count"):
         if getattr(options, name) < 1:
@@ -113,7 +113,7 @@ def run(options: argparse.Namespace) -> Measured:
             if reason
         ),
     ]
-    return Measured(figures, sorted(rows, key=lambda row: str(row["moved"]), reverse=True))
+    return CaseResult(figures, sorted(rows, key=lambda row: str(row["moved"]), reverse=True))
 
 
 # ------------------------------------------------------------------------------------------------------------ samplers

@@ -16,7 +16,7 @@ class Figure(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Measured:
+class CaseResult:
     """The figures of a run, and the table behind them."""
 
     figures: Sequence[Figure]
@@ -26,7 +26,7 @@ class Measured:
     """Name and reason of each input that could not be measured; the others were."""
 
 
-class Case(Protocol):
+class CaseModule(Protocol):
     """The interface of a case module."""
 
     __doc__: str | None
@@ -34,7 +34,7 @@ class Case(Protocol):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the options of the case."""
 
-    def run(self, options: argparse.Namespace) -> Measured:
+    def run(self, options: argparse.Namespace) -> CaseResult:
         """Run the benchmark."""
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases.figures import CaseResult, Figure
 from benchmarks.comparison import FigureDifference, compare
 from gcd_dataset.curves import curve_length
 from gcd_dataset.errors import BodyError, ConfigError, PatternError, SpecError
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--expect", type=Path, help="TOML: folder name = list of mends that may be left out")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Compare all designs. Raises ``ConfigError`` for a folder without designs, or an invalid ``--expect`` file."""
     folders = [path for path in _designs(options.folder) if options.only in str(path)]
     if not folders:
@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> Measured:
         Figure("with_all_mends", share * sum(v.agrees and not v.explained_by for v in verdicts), "of designs"),
         Figure("designs", len(verdicts), ""),
     )
-    return Measured(figures, [_row(verdict) for verdict in verdicts])
+    return CaseResult(figures, [_row(verdict) for verdict in verdicts])
 
 
 def _row(verdict: Verdict) -> dict[str, object]:

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from benchmarks.cases.figures import Figure, Measured, jpeg_file
+from benchmarks.cases.figures import CaseResult, Figure, jpeg_file
 from benchmarks.peers.pyrender_egl import compare_with_pyrender, require_pyrender
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sheet", type=jpeg_file, metavar="FILE", help="write a JPEG of 64 pictures")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Make the garments, render them at both sizes, compare some with Embree."""
     if options.count < 2:
         raise ConfigError(f"--count {options.count}: give 2 or more, since the first batch warms up")
@@ -102,7 +102,7 @@ def run(options: argparse.Namespace) -> Measured:
             figures += compare_with_pyrender(*some, size=size, device=device)
     if options.sheet is not None:
         write_whole(options.sheet, jpeg_bytes(_sheet(scenes, options.seed, device)))
-    return Measured(figures, rows)
+    return CaseResult(figures, rows)
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers

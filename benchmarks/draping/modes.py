@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases.figures import CaseResult, Figure
 from benchmarks.draping.workload import Worn, quality
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, resolve_device
@@ -20,7 +20,7 @@ from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import Drape, Outcome
 
 
-def compare_devices(worn: Sequence[Worn], device: str, other: str, *, batch: int) -> Measured:
+def compare_devices(worn: Sequence[Worn], device: str, other: str, *, batch: int) -> CaseResult:
     """Distances [cm] between corresponding vertices of the two drapes of each garment that settles on both devices.
 
     A noise floor of draped positions: the devices round sums and functions differently, and a fold may fall to either
@@ -50,14 +50,14 @@ def compare_devices(worn: Sequence[Worn], device: str, other: str, *, batch: int
             Figure("floor_largest_mean", float(means.max()), "cm"),
             Figure("floor_p95", float(np.mean([row["p95_cm"] for row in rows])), "cm"),
         ]
-    return Measured(figures, rows)
+    return CaseResult(figures, rows)
 
 
 EVERY = 50  # drapes between records; the first interval is the warm-up
 MB = 1e6  # bytes
 
 
-def measure_memory(worn: Sequence[Worn], drapes: int, *, device: str, batch: int) -> Measured:
+def measure_memory(worn: Sequence[Worn], drapes: int, *, device: str, batch: int) -> CaseResult:
     """Memory over ``drapes`` drapes in this process, cycling through the garments.
 
     Raises ``ConfigError`` for fewer drapes than two intervals.
@@ -72,7 +72,7 @@ def measure_memory(worn: Sequence[Worn], drapes: int, *, device: str, batch: int
             drape_batch(list(islice(jobs, min(batch, EVERY - start))), device=device, at_once=batch)
         rows.append({"drapes": first + EVERY, "rss_mb": rss_mb(), "gpu_mb": gpu_used_mb(device)})
     warm, last = rows[0], rows[-1]
-    return Measured(
+    return CaseResult(
         [
             Figure("drapes", last["drapes"], ""),
             Figure("rss_mb", last["rss_mb"], "MB"),
@@ -106,7 +106,7 @@ def _pooled(device: str) -> bool:
 SHARES = (50, 80, 95, 99)
 
 
-def measure_sewn(worn: Sequence[Worn], *, device: str, batch: int) -> Measured:
+def measure_sewn(worn: Sequence[Worn], *, device: str, batch: int) -> CaseResult:
     """Percentiles of the crossing edges after ``DrapeConfig.sewing_time``, and the share of garments without any."""
     found: dict[str, list[int]] = {"self": [], "body": [], "through": []}
     for first in range(0, len(worn), batch):
@@ -118,7 +118,7 @@ def measure_sewn(worn: Sequence[Worn], *, device: str, batch: int) -> Measured:
         ):
             found[kind] += counts.tolist()
     total = np.sum([found[kind] for kind in found], axis=0)
-    return Measured(
+    return CaseResult(
         [
             Figure("garments", len(worn), ""),
             Figure("sewn_clean", float(np.mean(total == 0)), "share"),
@@ -185,7 +185,7 @@ def variants() -> list[Variant]:
     ]
 
 
-def measure_ablation(worn: Sequence[Worn], *, device: str, batch: int) -> Measured:
+def measure_ablation(worn: Sequence[Worn], *, device: str, batch: int) -> CaseResult:
     """Drape the garments in every variant. A row per variant; figures of the full system."""
     rows: list[dict[str, Any]] = []
     figures: list[Figure] = []
@@ -195,7 +195,7 @@ def measure_ablation(worn: Sequence[Worn], *, device: str, batch: int) -> Measur
         each = (time.perf_counter() - start) / len(worn)
         figures = figures or [Figure("garments", len(worn), ""), Figure("s_per_garment", each, "s"), *quality(drapes)]
         rows += _rows(variant, worn, drapes, each)
-    return Measured(figures, rows)
+    return CaseResult(figures, rows)
 
 
 def _rows(variant: Variant, worn: Sequence[Worn], drapes: Sequence[Drape], each: float) -> Iterator[dict[str, Any]]:

@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from benchmarks.reconstruction.derived import CENTRE
 from benchmarks.reconstruction.evaluate import scores_of
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.tasks import Task
+from benchmarks.reconstruction.tasks import ReconstructionTask
 from gcd_dataset.files import make_folder, open_whole, write_whole
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern
 from gcd_dataset.generator.lay_plan import PALETTE
@@ -42,7 +42,7 @@ class Judge(Protocol):
         """Names of the files that ``write`` makes for garments, relative to its folder."""
 
 
-def judge_of(task: Task, *, watching: bool = False) -> Judge:
+def judge_of(task: ReconstructionTask, *, watching: bool = False) -> Judge:
     """The judge of a task; ``watching``: without scores that take long, to watch a training."""
     if task.name == "T4":
         return Vertices()

@@ -36,7 +36,7 @@ import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases.figures import CaseResult, Figure
 from benchmarks.reconstruction import training
 from benchmarks.reconstruction.evaluate import scores_of
 from benchmarks.reconstruction.models.panel_set import answers_of, set_loss
@@ -124,7 +124,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--queries", 40, "most panels of a prediction")
 
 
-def run(args: argparse.Namespace) -> Measured:
+def run(args: argparse.Namespace) -> CaseResult:
     """Make or read the garments, train on each input, test, compare. Raises ``ConfigError`` for unusable options."""
     begun = time.perf_counter()
     args = completed(args)
@@ -146,7 +146,7 @@ def run(args: argparse.Namespace) -> Measured:
         results[what], args.steps = result, int(result.figures["steps"])  # the same number of steps for all
         figures = [*_about(data, args), *figures_of(results)]
         write_whole(out / "figures.csv", _table(figures))
-    return Measured([Figure("minutes", _seconds_since(begun) / 60, "min, everything"), *figures], rows_of(results))
+    return CaseResult([Figure("minutes", _seconds_since(begun) / 60, "min, everything"), *figures], rows_of(results))
 
 
 def completed(args: argparse.Namespace) -> argparse.Namespace:

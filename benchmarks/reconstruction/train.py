@@ -38,7 +38,7 @@ from benchmarks.reconstruction.judging import Judge, intervals, judge_of, means_
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models import MODELS, load_model
 from benchmarks.reconstruction.scoring.table import DRAPED, EVALUATION, REPORT, SCORES
-from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
+from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, ReconstructionTask, task_named
 from benchmarks.reconstruction.training import (
     CHECKPOINT,
     CURVES,
@@ -74,7 +74,7 @@ class Options:
     """Options of a run."""
 
     model: str
-    task: Task
+    task: ReconstructionTask
     out: Path
     train: int
     test: int
@@ -306,7 +306,7 @@ def _require_own_folder(options: Options) -> None:
 
 
 def load_split(options: Options, *, checked: int = 0) -> Split:
-    """The garments; the first rank makes them, the others read its cache. ``checked``: as of ``Task.load``."""
+    """The garments; the first rank makes them, the others read its cache. ``checked``: as in ``task.load``."""
     if _rank():
         dist.barrier()
     load: Callable[..., Split] = partial(options.task.load, data=options.data, checked=checked, **_recipe(options))

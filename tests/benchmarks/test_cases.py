@@ -17,7 +17,7 @@ import benchmarks.run
 from benchmarks import run
 from benchmarks.cases import generated, loaders
 from benchmarks.cases.design_space import UNUSED, shift
-from benchmarks.cases.figures import Figure, Measured, jpeg_file
+from benchmarks.cases.figures import CaseResult, Figure, jpeg_file
 from benchmarks.cases.loaders import _opening, _passes, _ratios, cpu_ms_of
 from benchmarks.cases.remote import _Counting
 from benchmarks.loading import CONFIGS, installed_loaders, large_sample, write_shards
@@ -130,8 +130,8 @@ def tape(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--length", type=float)
 
-    def measure(options: argparse.Namespace) -> Measured:
-        return Measured([Figure("girth", 2 * options.length, "cm")], [{"body": "doll", "cm": options.length}])
+    def measure(options: argparse.Namespace) -> CaseResult:
+        return CaseResult([Figure("girth", 2 * options.length, "cm")], [{"body": "doll", "cm": options.length}])
 
     case = SimpleNamespace(__doc__="A case.", add_arguments=add_arguments, run=measure)
     monkeypatch.setattr(run, "CASES", {"tape": "tape"})

@@ -22,7 +22,7 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner, sizes_from
 from benchmarks.reconstruction.surface_net import LAYER_OPTIONS, SurfaceNet, SurfaceNetConfig, mlp
 from benchmarks.reconstruction.surfaces import (
-    Surface,
+    SurfaceArrays,
     SurfaceBatch,
     SurfaceStore,
     cloud_of,
@@ -182,7 +182,7 @@ class LabelledSurfaces:
         return LabelBatch(surface, **labels)
 
 
-def _prepared(tokens: int, with_edges: bool, mesh: tuple[np.ndarray, np.ndarray]) -> Surface:
+def _prepared(tokens: int, with_edges: bool, mesh: tuple[np.ndarray, np.ndarray]) -> SurfaceArrays:
     if with_edges:
         return surface_of(*mesh, clusters=tokens)
     return cloud_of(mesh[0].astype(float), vertex_normals(*mesh), clusters=tokens)

@@ -93,7 +93,7 @@ class StitchConfig:
 
 
 @dataclass(frozen=True)
-class Scores:
+class StitchLogits:
     """Logits of a round."""
 
     pairs: Float[Tensor, "b e e"]
@@ -111,7 +111,7 @@ class Scores:
 
 
 class StitchNet(nn.Module):
-    """Edges, and the seams known so far, to ``Scores``."""
+    """Edges, and the seams known so far, to ``StitchLogits``."""
 
     def __init__(self, config: StitchConfig) -> None:
         super().__init__()
@@ -130,7 +130,7 @@ class StitchNet(nn.Module):
         self.side = nn.Linear(width, config.pair_width)
         self.judge = _mlp(config.pair_width, config.pair_width, 2)
 
-    def forward(self, batch: EdgeBatch, known: Int[Tensor, "b e"]) -> Scores:
+    def forward(self, batch: EdgeBatch, known: Int[Tensor, "b e"]) -> StitchLogits:
         """``known``: partners of the edges that are already sewn, -1 for the others."""
         return self.scores(self.inputs(batch), known)
 
@@ -138,7 +138,7 @@ class StitchNet(nn.Module):
         """The network's inputs that do not depend on the known seams."""
         return EdgeInputs.of(batch)
 
-    def scores(self, seen: EdgeInputs, known: Int[Tensor, "b e"]) -> Scores:
+    def scores(self, seen: EdgeInputs, known: Int[Tensor, "b e"]) -> StitchLogits:
         """The scores of a batch, given its ``inputs``."""
         config, valid = self.config, seen.valid
         # A lookup in a table of two rows; its gradient needs no sort.
@@ -150,7 +150,7 @@ class StitchNet(nn.Module):
             edges = block(edges, bias)
         return self._scores(self.norm(edges), related, valid, known)
 
-    def _scores(self, edges: Tensor, related: Tensor, valid: Tensor, known: Tensor) -> Scores:
+    def _scores(self, edges: Tensor, related: Tensor, valid: Tensor, known: Tensor) -> StitchLogits:
         with torch.autocast(edges.device.type, enabled=False):  # bfloat16 would round logits to steps of 0.1
             keys = self.key(edges.float())
             pairs = keys @ keys.transpose(1, 2) / math.sqrt(keys.shape[-1])
@@ -162,7 +162,7 @@ class StitchNet(nn.Module):
         itself = torch.eye(pairs.shape[1], dtype=torch.bool, device=pairs.device)
         allowed = possible[:, :, None] & possible[:, None] & ~itself
         cuts, offsets = self.cut(edges).chunk(2, dim=-1)
-        return Scores(
+        return StitchLogits(
             pairs=torch.where(allowed, pairs.float(), NEVER),
             free=self.free(edges)[..., 0].float(),
             right_wrong=wrong.float(),
@@ -240,7 +240,7 @@ def edge_noise(seeds: Int[Tensor, " r"], count: int) -> Float[Tensor, "r e"]:
     return (((mixed >> 16) ^ mixed) >> 8).float() / 2**24
 
 
-def stitch_loss(scores: Scores, batch: EdgeBatch, known: Int[Tensor, "b e"]) -> dict[str, tuple[Tensor, Tensor]]:
+def stitch_loss(scores: StitchLogits, batch: EdgeBatch, known: Int[Tensor, "b e"]) -> dict[str, tuple[Tensor, Tensor]]:
     """Sums and counts of the loss terms by name.
 
     An edge without a partner in a garment with joined edges may be sewn to several: its choice is not counted.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.reconstruction import compare
-from benchmarks.reconstruction.compare import LEAST_GARMENTS, Difference, Scores, differences, main, read_scores
+from benchmarks.reconstruction.compare import LEAST_GARMENTS, Difference, ModelScores, differences, main, read_scores
 from benchmarks.reconstruction.evaluate import main as evaluate
 from benchmarks.reconstruction.scoring.table import EVALUATION, REPORT, SCORES
 from gcd_dataset.errors import ConfigError
@@ -20,8 +20,8 @@ from tests.benchmarks.reconstruction.toys import t_shirt, tube
 RECIPE = {"resolution": 2.0, "bodies": "random"}
 
 
-def scores(rows: Sequence[Mapping[str, float]], **settings: Any) -> Scores:
-    return Scores(Path("model"), {f"g{k}": row for k, row in enumerate(rows)}, settings)
+def scores(rows: Sequence[Mapping[str, float]], **settings: Any) -> ModelScores:
+    return ModelScores(Path("model"), {f"g{k}": row for k, row in enumerate(rows)}, settings)
 
 
 def run_folder(

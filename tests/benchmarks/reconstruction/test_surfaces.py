@@ -21,7 +21,7 @@ from benchmarks.reconstruction.models.segmentation import build, set_loss
 from benchmarks.reconstruction.surface_net import of_neighbours
 from benchmarks.reconstruction.surfaces import (
     NEIGHBOURS,
-    Surface,
+    SurfaceArrays,
     SurfaceStore,
     cloud_of,
     drawn_turn,
@@ -150,7 +150,7 @@ def test_a_vertex_of_many_neighbours_keeps_the_nearest() -> None:
     assert_reverse_edges(found)
 
 
-def assert_reverse_edges(surface: Surface) -> None:
+def assert_reverse_edges(surface: SurfaceArrays) -> None:
     entries = surface.reverse.ravel()
     assert np.array_equal(np.sort(entries), np.arange(len(entries)))
     own = np.repeat(np.arange(len(surface.neighbours)), NEIGHBOURS)
