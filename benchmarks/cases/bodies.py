@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.cases.figures import CaseResult, Figure
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.skin import skin_crossings
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import build_body, measure

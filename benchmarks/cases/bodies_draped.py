@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cases.figures import CaseResult, Figure
-from benchmarks.draping.failures import write_failures
+from benchmarks.cases import CaseResult, Figure
+from benchmarks.draping.modes import write_failures
 from benchmarks.draping.other_bodies import OTHER_BODIES, OtherBody, dressed, other_body
 from benchmarks.draping.workload import Worn, is_clean
 from benchmarks.skin import skin_crossings

@@ -44,8 +44,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from benchmarks.cases.figures import CaseResult, Figure
-from benchmarks.reference_sampler import reference_design, reject_reason
+from benchmarks.cases import CaseResult, Figure
+from benchmarks.draping.workload import reference_design, reject_reason
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape

@@ -16,7 +16,7 @@ table lists the garments that did not settle. ``clean``: the share that settled 
 ``grade_clean``: the share that also has no panel stretched too far, see ``generator.quality``. ``--ablation`` drapes
 them once per switched feature. ``--memory`` drapes them in turn in this process and records process and GPU memory
 after every 50. ``--reference-designs``: designs drawn and selected like GarmentCode's, each on the given body, see
-``benchmarks.reference_sampler``. ``--sewn``: crossings at the end of sewing, before gravity. ``--beside cpu``: the
+``benchmarks.draping.workload``. ``--sewn``: crossings at the end of sewing, before gravity. ``--beside cpu``: the
 distance between the drapes of two devices, a noise floor for models that predict drapes. ``--peer newton`` also drapes
 the same meshes with Newton's ``SolverStyle3D``, configured as described in ``benchmarks.peers.newton``.
 """
@@ -32,9 +32,15 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cases.figures import CaseResult, Figure, jpeg_file
-from benchmarks.draping.failures import write_failures
-from benchmarks.draping.modes import compare_devices, gpu_peak_mb, measure_ablation, measure_memory, measure_sewn
+from benchmarks.cases import CaseResult, Figure, jpeg_file
+from benchmarks.draping.modes import (
+    compare_devices,
+    gpu_peak_mb,
+    measure_ablation,
+    measure_memory,
+    measure_sewn,
+    write_failures,
+)
 from benchmarks.draping.workload import Worn, quality, reference_sampled, sampled
 from benchmarks.peers.compare import compare_solvers
 from benchmarks.peers.newton import require_newton

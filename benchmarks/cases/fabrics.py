@@ -38,9 +38,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from benchmarks.cases.figures import CaseResult, Figure, jpeg_file
-from benchmarks.drapemeter import drape_coefficient
-from benchmarks.strips import Direction, bending_length, cantilever, tensile_stiffness
+from benchmarks.cases import CaseResult, Figure, jpeg_file
+from benchmarks.cloth_tests import Direction, bending_length, cantilever, drape_coefficient, tensile_stiffness
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, measure, neutral_shape

@@ -22,7 +22,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from benchmarks.cases.figures import CaseResult, Figure
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.cases.scale import gpu_idle, own_rate
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.recipe import devices_of

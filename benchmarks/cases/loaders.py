@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.cases.figures import CaseResult, Figure
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.loading import BATCH, CONFIGS, installed_loaders, opened, write_large_index, write_shards
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, collate_packed

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.broken_bodies import KINDS, broken_body
-from benchmarks.cases.figures import CaseResult, Figure
+from benchmarks.cases import CaseResult, Figure
 from gcd_dataset.bodyfiles import read_measurements
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.body import build_body, draw_shape, measure

@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from benchmarks.cases.figures import CaseResult, Figure, jpeg_file
+from benchmarks.cases import CaseResult, Figure, jpeg_file
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.faults import Rule, Severity, check_pattern
 from gcd_dataset.files import write_whole

@@ -12,7 +12,7 @@ options.
 import argparse
 from pathlib import Path
 
-from benchmarks.cases.figures import CaseResult, Figure
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.reconstruction.models import MODELS
 from benchmarks.reconstruction.scoring.table import REPORT, UNITS
 from benchmarks.reconstruction.train import add_arguments as add_training_arguments

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
-from benchmarks.cases.figures import CaseResult, Figure
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.loading import (
     BATCH,
     CONFIGS,

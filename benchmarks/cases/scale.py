@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cases.figures import CaseResult, Figure
+from benchmarks.cases import CaseResult, Figure
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest, SharedDraper, address_for

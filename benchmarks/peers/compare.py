@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.cases.figures import CaseResult, Figure
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.draping.workload import quality
 from benchmarks.peers.newton import PeerDrapes, drape_with_newton
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch

@@ -36,7 +36,7 @@ import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
-from benchmarks.cases.figures import CaseResult, Figure
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.reconstruction import training
 from benchmarks.reconstruction.evaluate import scores_of
 from benchmarks.reconstruction.models.panel_set import answers_of, set_loss

@@ -15,9 +15,8 @@ import torch
 
 import benchmarks.run
 from benchmarks import run
-from benchmarks.cases import generated, loaders
+from benchmarks.cases import CaseResult, Figure, generated, jpeg_file, loaders
 from benchmarks.cases.design_space import UNUSED, shift
-from benchmarks.cases.figures import CaseResult, Figure, jpeg_file
 from benchmarks.cases.loaders import _opening, _passes, _ratios, cpu_ms_of
 from benchmarks.cases.remote import _Counting
 from benchmarks.loading import CONFIGS, installed_loaders, large_sample, write_shards

@@ -10,9 +10,8 @@ import pytest
 
 from benchmarks import run
 from benchmarks.cases import parity
-from benchmarks.comparison import compare
-from benchmarks.draping.failures import write_failures
-from benchmarks.draping.modes import measure_memory, measure_sewn, variants
+from benchmarks.cases.parity import compare
+from benchmarks.draping.modes import measure_memory, measure_sewn, variants, write_failures
 from benchmarks.draping.workload import Worn, pass_paper, quality
 from benchmarks.peers.newton import require_newton, unmirrored
 from gcd_dataset.curves import Quadratic

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.cases import fabrics
 from benchmarks.cases.fabrics import TARGETS, read_targets, results
-from benchmarks.drapemeter import EDGE, SPECIMEN, SUPPORT, disc, drape_coefficient, drape_disc, folds, shadow
+from benchmarks.cloth_tests import EDGE, SPECIMEN, SUPPORT, disc, drape_coefficient, drape_disc, folds, shadow
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, Fabric
 from gcd_dataset.generator.drape.config import GRAVITY

@@ -13,7 +13,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from benchmarks.drapemeter import drape_coefficient
+from benchmarks.cloth_tests import drape_coefficient
 from benchmarks.reconstruction import garments, train
 from benchmarks.reconstruction.derived import picture_views
 from benchmarks.reconstruction.garments import GarmentSet, fresh_garments, generated

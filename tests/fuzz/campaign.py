@@ -8,8 +8,8 @@ from pathlib import Path
 
 from hypothesis import HealthCheck, Phase, given, settings
 
-from benchmarks.cases.figures import Measured
-from benchmarks.report import report_text
+from benchmarks.cases import CaseResult
+from benchmarks.run import report_text
 from tests.fuzz.expensive import EXPENSIVE, expensive
 from tests.fuzz.readers import DOCUMENTS, READERS, Reader, damaged, edited_documents
 from tests.fuzz.trial import Tally, Verdict, try_all
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print("\n".join(faults[:200]))
     if options.report:
         command = ["tests.fuzz.campaign", "--examples", str(options.examples)]
-        options.report.write_text(report_text("robustness", ABOUT, Measured([], rows), command))
+        options.report.write_text(report_text("robustness", ABOUT, CaseResult([], rows), command))
     return 1 if faults else 0
 
 

@@ -12,11 +12,11 @@ from torch import Tensor, nn
 from torch._subclasses.fake_tensor import FakeTensorMode
 
 from benchmarks.reconstruction.assignment import least_cost
-from benchmarks.reconstruction.attention import DecoderLayer, EncoderLayer, hiding
 from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
 from benchmarks.reconstruction.learners import Learner
 from benchmarks.reconstruction.models import MODELS, load_model
+from benchmarks.reconstruction.point_net import DecoderLayer, EncoderLayer, hiding
 from benchmarks.reconstruction.stitching.run import main as stitching
 from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.comparison import compare
+from benchmarks.cases.parity import compare
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import BodyError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, read_measurements
