@@ -57,21 +57,6 @@ def test_designs_without_the_parameter_do_not_count() -> None:
     )
 
 
-def test_chance_moves_as_much_as_the_noise() -> None:
-    rng = np.random.default_rng(0)
-    found = []
-    for _ in range(60):
-        values = list(rng.uniform(0.001, 1, 3000))
-        replaced = [
-            value if keep else rng.uniform(0.001, 1) for value, keep in zip(values, rng.random(3000) < 0.8, strict=True)
-        ]
-        accepted = list(rng.choice(values, 1000, replace=False))
-        found.append((shift(LENGTH, values, replaced, paired=True), shift(LENGTH, values, accepted, paired=False)))
-    for column in zip(*found, strict=True):
-        moved, noise = np.mean([s.moved for s in column]), np.mean([s.noise for s in column])
-        assert moved == pytest.approx(noise, rel=0.1)
-
-
 def options(*given: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     generated.add_arguments(parser)

@@ -24,7 +24,7 @@ def test_a_flat_disc_has_its_whole_shadow() -> None:
 
 def test_layers_count_once_in_a_shadow() -> None:
     """A disc folded over a diameter has half its shadow."""
-    mesh = disc(0.5)
+    mesh = disc(1.0)
     folded = np.array(mesh.vertices)
     folded[:, 0] = np.abs(folded[:, 0])
     assert shadow(folded, mesh) == pytest.approx(np.pi * SPECIMEN**2 / 2, rel=0.02)
@@ -36,11 +36,6 @@ def test_a_wavy_rim_has_as_many_folds_as_waves() -> None:
     angle = np.arctan2(wavy[:, 2], wavy[:, 0])
     wavy[:, [0, 2]] *= 0.8 + 0.1 * np.sin(7 * angle)[:, None]
     assert folds(wavy, mesh) == 7
-
-
-def test_the_drape_coefficient_of_a_rigid_disc_is_100() -> None:
-    rigid = replace(CLOTH, bending=1.0, tensile=1e4)
-    assert drape_coefficient(rigid, spacing=2.0, edge=2.0) == pytest.approx(100.0, abs=0.2)
 
 
 def test_a_stiffer_disc_has_a_larger_coefficient_and_fewer_folds() -> None:
@@ -113,12 +108,7 @@ def test_results_are_judged_against_the_band(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize(
     ("was", "now", "message"),
     [
-        (
-            "denim,drape_coefficient,all,%,60.6,50.7",
-            "denim,drape_coefficient,all,%,60.6,80.7",
-            "a band with low below high",
-        ),
-        ("denim,drape_coefficient,all", "denin,drape_coefficient,all", "no test of a fabric: denin"),
+        ("denim,drape_coefficient,all,%,60.6,50.7", "denim,drape_coefficient,all,%,60.6,80.7", "low below high"),
         ("denim,drape_coefficient,all", "denim,drape_coefficient,warp", "no test of a fabric: denim"),
         ("denim,drape_coefficient,all,%,60.6", "denim,drape_coefficient,all,%,sixty", "could not convert string"),
     ],

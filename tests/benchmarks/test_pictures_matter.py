@@ -15,7 +15,6 @@ import trimesh
 from benchmarks.cases.render import embree_maps
 from benchmarks.reconstruction.derived import FIRST_PANEL, SHOWN_CLASSES
 from benchmarks.reconstruction.panel_net import NetConfig
-from benchmarks.reconstruction.panel_targets import patterns_from
 from benchmarks.reconstruction.picture_inputs import (
     HELD_OUT,
     SIDES,
@@ -33,14 +32,14 @@ from benchmarks.run import main
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
-from gcd_dataset.generator.render import PrintKind, Ranges, look_at
+from gcd_dataset.generator.render import Ranges, look_at
 from gcd_dataset.generator.render.looks import LOOKS
-from gcd_dataset.metrics import PatternScore, score_pattern
+from gcd_dataset.metrics import PatternScore
 from gcd_dataset.records import Drape, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.tensors import PANEL_LABELS
 
-SIZE, SEED = 32, 5
+SIZE, SEED = 16, 5
 
 
 @pytest.fixture(scope="module")
@@ -110,15 +109,6 @@ def test_no_held_out_cloth_skin_or_place_is_drawn_in_training() -> None:
     # All kinds of cloth are used, and each held-out one may have a held-out print.
     assert set(ours.looks) | set(theirs.looks) == set(LOOKS)
     assert all(set(LOOKS[name].prints) & set(theirs.prints) for name in theirs.looks)
-
-
-def test_held_out_views_show_held_out_cloth_only(folder: Path) -> None:
-    garment = load_garment(ShardReader(folder, settled_only=True), 0)
-    for epoch in range(20):
-        _, views = views_of(Input.HELD_OUT, 0, garment, 0, epoch)
-        for cloth in views[0].appearance.cloths:
-            assert cloth.look in HELD_OUT.appearance.looks
-            assert cloth.print.kind in (PrintKind.PLAIN, *HELD_OUT.appearance.prints)
 
 
 @pytest.mark.parametrize("what", [Input.GREY, Input.DRAWN, Input.HELD_OUT])
@@ -201,18 +191,8 @@ def test_a_pool_holds_the_latest_readings(folder: Path) -> None:
     assert torch.equal(batch.shown[:, 1, 0, 0].float(), batch.slimness)
 
 
-def test_the_network_tells_the_pictures_apart() -> None:
-    torch.manual_seed(0)
-    net = PictureNet(NetConfig(width=32, heads=2, layers=1), views=SIDES, size=SIZE)
-    pictures = torch.randint(256, (1, SIDES, SIZE, SIZE, 3), dtype=torch.uint8)
-    with torch.no_grad():
-        one, other = (net.decoder(net(seen))[0][-1].centres for seen in (pictures, pictures.flip(1)))
-    assert one.shape == (1, 40, 3)
-    assert not torch.allclose(one, other, atol=1e-4)
-
-
 def test_the_same_seed_trains_the_same_network(folder: Path) -> None:
-    args = options(folder, steps=4, size=16)
+    args = options(folder, steps=2)
     data = load(folder, args)
     assert sorted([*data.known, *data.unseen]) == [0, 1, 2, 3, 4]
     runs = []
@@ -220,13 +200,6 @@ def test_the_same_seed_trains_the_same_network(folder: Path) -> None:
         with pool_of(Input.PLAIN, data, args) as pool:
             runs.append([row["loss"] for row in train(pool, data, args.steps, args)[1]])
     assert runs[0] == runs[1]
-
-
-def test_targets_of_stored_garments_decode_to_their_patterns(folder: Path) -> None:
-    data = load(folder, options(folder))
-    found = patterns_from(data.targets)
-    assert [len(pattern.panels) for pattern in found] == [len(pattern.panels) for pattern in data.patterns]
-    assert all(score_pattern(*pair).stitch_f1 == 1.0 for pair in zip(found, data.patterns, strict=True))
 
 
 # ----------------------------------------------------------------------------------------------------------- the report
@@ -246,23 +219,23 @@ def test_the_case_reports_and_a_repeated_call_continues(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, report = tmp_path / "out", tmp_path / "report.md"
-    flags = ["--garments", str(folder), "--out", str(out), "--count", "4", "--steps", "2", "--size", "16"]
+    flags = ["--garments", str(folder), "--out", str(out), "--count", "4", "--steps", "1", "--size", "8"]
     flags += ["--device", "cpu", "--width", "32", "--layers", "1", "--report", str(report)]
     assert main(["pictures_matter", "--inputs", "drawn", *flags]) == 0
-    assert main(["pictures_matter", *flags]) == 0
+    assert main(["pictures_matter", "--inputs", "drawn,plain", *flags]) == 0
     said = capsys.readouterr()
     assert "drawn: read from" in said.err
-    for name in ("gap_to_plain_on_held_out_iou", "gap_to_grey_on_held_out_panel_count_acc", "drawn_waiting"):
+    for name in ("gap_to_plain_on_held_out_iou", "drawn_on_grey_panel_count_acc", "drawn_waiting"):
         assert f"pictures_matter.{name} " in said.out
     with (out / "curves.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [row["input"] for row in rows] == ["drawn", "plain", "grey"]
+    assert [row["input"] for row in rows] == ["drawn", "plain"]
     assert len(json.loads((out / "plain.json").read_text())["scores"]["held_out"]) == 1
     assert "gap_to_plain_on_drawn_iou," in (out / "figures.csv").read_text()
     assert (out / "inputs.jpg").stat().st_size > 1000
     assert "| held_out | drawn |" in report.read_text()
     with pytest.raises(ConfigError, match="results of other options: give another --out"):
-        run(options(folder, out=str(out), count=4, steps=3, size=16))
+        run(options(folder, out=str(out), count=4, steps=3, size=8))
 
 
 @pytest.mark.parametrize(

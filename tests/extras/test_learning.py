@@ -1,5 +1,7 @@
-"""Every network learns, and several processes make what one makes: half a minute."""
+"""Every network learns, several processes make what one makes, and slow figures of single cases: a minute."""
 
+import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,13 +9,19 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.cloth_tests import drape_coefficient
+from benchmarks.reconstruction.evaluate import main as evaluate
 from benchmarks.reconstruction.garments import GarmentSet, generated
 from benchmarks.reconstruction.models import load_model
 from benchmarks.reconstruction.picture_inputs import Input, rendering
 from benchmarks.reconstruction.tasks import NAMED
 from benchmarks.reconstruction.training import TrainConfig, train
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.drape import Fabric
+from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.garments.overlay import Overlay
 from tests.benchmarks.reconstruction.conftest import SKIRTS
+from tests.benchmarks.reconstruction.test_evaluate import figures, save
 from tests.benchmarks.test_pictures_matter import stored_garments
 
 CPU = torch.device("cpu")
@@ -69,3 +77,30 @@ def test_processes_render_the_same_pictures_as_a_thread(tmp_path: Path) -> None:
             by_count.append({k: p for b in batches for k, p in zip(b.positions.tolist(), b.pictures, strict=True)})
     assert set(by_count[0]) == set(by_count[1]) == {0, 1, 2}
     assert all((by_count[0][k] == by_count[1][k]).all() for k in range(3))
+
+
+def test_the_drape_coefficient_of_a_rigid_disc_is_100() -> None:
+    rigid = Fabric(density=0.2, tensile=1e4, bending=1.0)
+    assert drape_coefficient(rigid, spacing=2.0, edge=2.0) == pytest.approx(100.0, abs=0.2)
+
+
+def test_several_processes_score_alike_and_the_headline_counts_right_drapes_of_all_garments(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A copy, a copy without one seam, and no prediction: a third."""
+    skirt = outfit(measure(build_body(neutral_shape())), design_from_dict({"meta": {"bottom": "PencilSkirt"}}))
+    true = save(tmp_path / "true", dict.fromkeys("abc", skirt))
+    ours = save(tmp_path / "ours", {"a": skirt, "b": replace(skirt, seams=skirt.seams[:-1])})
+    printed = []
+    for workers in (1, 2):
+        assert evaluate([str(ours), str(true), "--quiet", "--workers", str(workers)]) == 0
+        printed.append(capsys.readouterr().out)
+    assert printed[0] == printed[1]
+    json_file = tmp_path / "out.json"
+    options = ["--drape", "--resolution", "8", "--device", "cpu", "--quiet", "--json", str(json_file)]
+    assert evaluate([str(ours), str(true), *options]) == 0
+    found = figures(capsys.readouterr().out)
+    assert found["within_1cm"] == found["topology_exact"] == pytest.approx(1 / 3, abs=1e-4)
+    rows = {row["name"]: row for row in json.loads(json_file.read_text())["garments"]}
+    assert rows["a"]["redrape_cd_cm"] == pytest.approx(0, abs=1e-6)
+    assert rows["b"]["redrape_cd_cm"] < rows["c"]["redrape_cd_cm"] == 100

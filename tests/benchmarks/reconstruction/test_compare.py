@@ -171,9 +171,7 @@ def test_models_of_other_test_sets_are_not_compared(
     ("change", "message"),
     [
         ({"resolution": 1.0}, "resolution of the drapes: 1.0, but 2.0 in "),
-        ({"partial": True}, "--partial: True, but False in "),
         ({"inputs": "folder"}, "--inputs given: True, but False in "),
-        ({"gcd_dataset": "0.2"}, "version of the drapes: 0.2, but 0.1 in "),
         ({"hashes": {"truth": "t", "bodies": "c", "inputs": "d"}}, "hash of bodies: c, but b in "),
         ({"hashes": {"truth": "t", "bodies": "b", "inputs": "c"}}, "hash of inputs: c, but d in "),
     ],

@@ -155,9 +155,7 @@ def test_cached_decoding_says_what_one_pass_says() -> None:
             assert torch.allclose(centre, answer.centres[garment, panel], atol=1e-3)
 
 
-@pytest.mark.parametrize(
-    "sizes", [{}, {"queries": 1, "slots": 3, "edges": 3}, {"queries": 3, "slots": 5, "edges": 10}, {"edges": 7}]
-)
+@pytest.mark.parametrize("sizes", [{}, {"queries": 3, "slots": 5, "edges": 10}])
 def test_every_answer_is_closed_and_within_the_sizes(sizes: dict[str, int]) -> None:
     network = undecided(**sizes)
     config = network.config
@@ -177,34 +175,7 @@ def test_every_answer_is_closed_and_within_the_sizes(sizes: dict[str, int]) -> N
         assert not [fault for fault in check_pattern(pattern) if fault.severity is Severity.ERROR]
 
 
-def test_an_answer_depends_on_its_own_garment_only() -> None:
-    network = learner().eval()
-    memory = torch.randn(3, 8, network.config.width)
-    with torch.no_grad():
-        whole, alone = decode(network.decoder, memory), decode(network.decoder, memory[1:2])
-    assert torch.equal(whole.edge_panels[1:2], alone.edge_panels)
-    assert torch.allclose(whole.corners[1:2], alone.corners, atol=1e-4)
-    assert not torch.allclose(whole.corners[:1], alone.corners, atol=1e-2)
-
-
-def test_edges_point_to_earlier_edges_only() -> None:
-    network = learner()
-    logits = network.decoder.partners(torch.randn(2, 5, network.config.width))
-    assert logits.shape == (2, 5, 6)
-    assert ((logits[..., :5] > -1e3) == torch.ones(5, 5).tril(-1).bool()).all()
-
-
 # ---------------------------------------------------------------------------------------------------------- the loss
-
-
-def test_the_loss_in_bfloat16_is_that_in_float32(targets: PanelTargets) -> None:
-    network = learner().eval()
-    with torch.autocast("cpu", torch.bfloat16):
-        rough = network.loss(targets)
-    assert all(part.dtype == torch.float32 for part in rough.values())
-    exact = network.loss(targets)
-    for name, part in rough.items():
-        assert part.item() == pytest.approx(exact[name].item(), rel=0.05, abs=0.01), name
 
 
 # -------------------------------------------------------------------------------------------------------- the options

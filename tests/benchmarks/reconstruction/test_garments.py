@@ -98,30 +98,8 @@ def test_a_stopped_call_keeps_the_garments_that_it_made(tmp_path: Path, monkeypa
     assert begun == [0, 4]
 
 
-def test_portions_are_written_once_and_a_lost_one_is_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(garments, "PORTION", 2)
-    whole = generated(5, 3, cache=tmp_path, **PATTERNS)
-    (folder,) = tmp_path.iterdir()
-    files = sorted(folder.iterdir())
-    assert [path.name for path in files] == ["000000000.npz", "000000002.npz", "000000004.npz"]
-    before = {path: path.stat().st_ino for path in files}  # a file that is written again is another one
-    assert len(generated(7, 3, cache=tmp_path, **PATTERNS)) == 7
-    assert {path: path.stat().st_ino for path in files} == before
-    files[1].unlink()
-    assert same(generated(5, 3, cache=tmp_path, **PATTERNS), whole)
-    assert same(generated(2, 3, cache=tmp_path, **PATTERNS), whole.select([0, 1]))
-
-
 def test_workers_make_the_same_set() -> None:
     assert same(generated(3, 0, workers=2, **PATTERNS), generated(3, 0, **PATTERNS))
-
-
-def test_hashes_depend_on_the_patterns_and_their_order(six: GarmentSet) -> None:
-    assert six.select([0, 1]).patterns_hash != six.select([1, 0]).patterns_hash
-    assert six.select([0, 1]).ids_hash != six.select([1, 0]).ids_hash
-    assert six.select([0, 1]).ids_hash == GarmentSet.join([six.select([0]), six.select([1])]).ids_hash
 
 
 def numbered(designs: list[int], bodies: list[int], six: GarmentSet) -> GarmentSet:

@@ -274,7 +274,7 @@ ARRAYS = {name: standardised(garment())[name] for name in ("outlines", "rotation
     ("form", "changed", "fault"),
     [
         ("neuraltailor", {"rotations": None}, "no array rotations among outlines, translations: save the network's"),
-        ("neuraltailor", {"outlines": ARRAYS["outlines"] * np.inf}, "belt: outlines[0, 0, 0] is "),
+        ("neuraltailor", {"outlines": np.full_like(ARRAYS["outlines"], np.inf)}, "belt: outlines[0, 0, 0] is "),
         (
             "neuraltailor",
             {"outlines": ARRAYS["outlines"].reshape(-1)},

@@ -199,19 +199,6 @@ def test_unusual_options_make_another_model(changed: dict[str, Any], tmp_path: P
     ]
 
 
-def test_the_peer_of_a_left_out_kind_took_as_many_steps(tmp_path: Path) -> None:
-    """Another training took about the same time."""
-    for value, steps, minutes in ((0.25, 0, 1.0), (0.75, 900, 2.0)):
-        found = result("T0", "panel_set", 0.7, steps=steps) | {"minutes": minutes}
-        added(tmp_path, found | {"scores_of_kinds": {"skirt": {"topology_exact": value}}})
-    without = result("T0", "panel_set", 0.1, leave_out="skirt", steps=900, tested=70, patterns="12")
-    added(tmp_path, without | {"minutes": 1.0})
-    assert (
-        "| skirt | panel_set | 4 | 900 steps | 70 | 0.75 | 0.1 (0 to 0.2) |"
-        in (tmp_path / "learning_T0.md").read_text()
-    )
-
-
 def test_kinds_of_stitched_patterns_are_told_apart(tmp_path: Path) -> None:
     data = {"count": 4, "patterns": "ab" * 32, "ids": "cd" * 32}
     found: dict[str, Any] = {
@@ -363,13 +350,3 @@ def test_reports_go_to_the_leaderboard(tmp_path: Path, capsys: pytest.CaptureFix
     assert "`python -m benchmarks.reconstruction.train nearest --drape --out runs/a-nearest`" in page
     assert plan.NOT_DRAPED in page
     assert "1 of 2 runs reported" in capsys.readouterr().out
-
-
-def test_wrong_usage_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = plan_file(tmp_path, TWO)
-    assert plan_main([str(path), "--only", "T9*", "--out", str(tmp_path)]) == 1
-    assert "has no run T9*: give --only a pattern" in capsys.readouterr().err
-    assert plan_main([str(path), "--limit-minutes", "nan", "--out", str(tmp_path)]) == 1
-    assert "--limit-minutes nan: give 0 or more" in capsys.readouterr().err
-    assert plan_main([str(path), "--list", "--out", str(tmp_path)]) == 0
-    assert capsys.readouterr().out == "a-typical  unfinished\na-nearest  unfinished\n"

@@ -11,7 +11,7 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.panel_set import PanelSet, _partners, build, edges_of, match_panels, panel_losses
 from benchmarks.reconstruction.panel_net import Predicted
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, fitted_curve, patterns_from, simple_panel
-from benchmarks.reconstruction.point_net import PointConfig, PointTokens, regions_of
+from benchmarks.reconstruction.point_net import regions_of
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, curve_points
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.faults import Rule, Severity, check_pattern
@@ -99,25 +99,6 @@ def test_regions_hold_equal_numbers_of_near_points() -> None:
     assert not torch.equal(one_row, points[0, :512, 0])
 
 
-def test_a_training_step_sees_some_of_the_regions_and_an_answer_all() -> None:
-    tokens = PointTokens(PointConfig(tokens=16, seen=5, region_width=8, width=12, heads=2, layers=1))
-    points = torch.rand(2, 64, 6)
-    assert tokens.train()(points).shape == (2, 5, 12)
-    assert not torch.equal(tokens(points), tokens(points))
-    assert tokens.eval()(points).shape == (2, 16, 12)
-    assert torch.equal(tokens(points), tokens(points))
-
-
-def test_points_are_drawn_anew_for_each_step(six: GarmentSet) -> None:
-    examples = learner().prepare(six, device=CPU)
-    first, again, other = (
-        examples.batch(torch.tensor([2]), torch.Generator().manual_seed(seed)).points for seed in (1, 1, 2)
-    )
-    assert first.shape == (1, 128, 6)
-    assert torch.equal(first, again)
-    assert not torch.equal(first, other)
-
-
 def test_the_likeliest_pairs_are_sewn_first() -> None:
     logits = torch.tensor([[[-9.0, 5, 4, -9, 0], [5, -9, 3, -9, 0], [4, 3, -9, 0.5, 0], [-9, -9, 0.5, -9, 2]]])
     exists = torch.tensor([[True, True, True, True]])
@@ -163,15 +144,6 @@ def test_targets_decode_to_nearly_the_same_pattern(six: GarmentSet) -> None:
         assert {seam.right_wrong for seam in pattern.seams} == {seam.right_wrong for seam in true.seams}
         labels = [[edge.label for panel in p.panels for edge in panel.edges] for p in (pattern, true)]
         assert labels[0] == labels[1]
-
-
-def test_slimness_is_perimeter_over_area() -> None:
-    corners = np.array([[0.0, 0.0], [80.0, 0.0], [80.0, 5.0], [0.0, 5.0]])
-    edges = tuple(Edge(i, (i + 1) % 4) for i in range(4))
-    belt = Panel("belt", corners, edges, Placement(np.zeros(3), np.zeros(3)))
-    targets = TARGETS.of(Pattern("", (belt,), ()))
-    assert targets.slimness[0, 0].item() == pytest.approx(50 * 170 / 400)
-    assert targets.extents[0, 0].tolist() == pytest.approx([0.8, 0.05])
 
 
 def test_a_garment_beyond_the_sizes_is_refused(six: GarmentSet) -> None:

@@ -342,20 +342,6 @@ def labels_of(item: dict[str, Any]) -> np.ndarray:
     return derived_arrays(item, ["box_labels"])["box_labels"]
 
 
-def test_points_have_the_panel_on_which_they_lie() -> None:
-    points = dress()["points"].numpy().astype(float)
-    names = np.array(PANEL_CLASSES)[labels_of(dress())[:, 0]]
-    across = {name: points[names == name, 0] for name in np.unique(names)}
-    assert {"left_ftorso", "right_btorso", "left_sleeve_f", "right_sleeve_b", "wb_front", "skirt_back"} <= set(across)
-    assert all((across[name] > -0.5).all() for name in across if name.startswith("left"))
-    assert all((across[name] < 0.5).all() for name in across if name.startswith("right"))
-    height = {name: points[names == name, 1].mean() for name in across}
-    assert height["left_ftorso"] > height["wb_front"] > height["skirt_front"]
-    behind = {name: points[names == name, 2].mean() for name in across}
-    assert behind["left_ftorso"] > behind["left_btorso"]
-    assert behind["skirt_front"] > behind["skirt_back"]
-
-
 def test_points_of_two_flat_panels_have_their_labels() -> None:
     """Two panels are sewn along x = 0, and their upper edge, at y = 10, is a collar; the triangles are 1 cm wide."""
     names, collar = ["right_ftorso", "left_ftorso"], EDGE_LABELS.index("left_collar")
@@ -423,20 +409,6 @@ def test_mirror_images_have_the_labels_of_the_other_side(six: GarmentSet) -> Non
     for k in range(6):
         expected = [as_image[tuple(row)] if mirrored[k] else tuple(row) for row in same.labels[k].tolist()]
         assert [tuple(row) for row in found.labels[k].tolist()] == expected
-
-
-def test_drawn_points_keep_their_labels(six: GarmentSet) -> None:
-    """A label that tells the place of its point tells it in training batches, too."""
-    network = build(smoke=True, options={**LABEL_SIZES, "labelled": 1})
-    examples = network.prepare(six, device=CPU)
-    labels = torch.zeros(6, 512, 3, dtype=torch.uint8)
-    labels[..., 2] = examples.whole.points[..., 0] > 0
-    found = replace(examples, whole=replace(examples.whole, labels=labels)).batch(
-        torch.tensor([4, 1, 2]), torch.Generator().manual_seed(5)
-    )
-    assert found.points.shape[1] == found.labels.shape[1] == 128
-    assert torch.equal(found.labels[..., 2] == 1, found.points[..., 0] > 0)
-    assert 0 < found.labels[..., 2].float().mean() < 1
 
 
 def test_garments_without_labels_can_be_answered_but_not_learned_from(

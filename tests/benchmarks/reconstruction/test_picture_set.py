@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction import garments, picture_model
-from benchmarks.reconstruction.derived import DERIVED, FIRST_PANEL, PICTURE_SIZE, PICTURES, picture_views
+from benchmarks.reconstruction import picture_model
+from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.design_codes import PARAMETERS, encode_design
 from benchmarks.reconstruction.garments import GarmentSet, Ragged, generated
 from benchmarks.reconstruction.models import load_model
 from benchmarks.reconstruction.picture_model import MOST_GROWTH, MOST_SHIFT, MOST_TURN, STRIDE, PictureTokens, distorted
 from benchmarks.reconstruction.point_net import EncoderConfig
-from gcd_dataset.generator.render.pictures import GARMENT
-from gcd_dataset.loaders import Views
 from gcd_dataset.records import BodyPart
-from gcd_dataset.tensors import PANEL_LABELS, PanelColumn
+from gcd_dataset.tensors import PANEL_LABELS
 from tests.benchmarks.reconstruction.conftest import SKIRTS
 
 CPU = torch.device("cpu")
@@ -121,14 +119,6 @@ def test_a_distortion_moves_a_dot_as_said() -> None:
     assert red[0, 0, 50, 60, 1] < 200
 
 
-def test_labels_of_panels_that_no_sampler_of_ours_knows_are_none() -> None:
-    panels = torch.zeros(2, PanelColumn.LABEL + 1)
-    panels[:, PanelColumn.LABEL] = torch.tensor([1.0, len(PANEL_LABELS) + 3])
-    maps = {"part_map": torch.full((1, 2, 2), GARMENT), "panel_id_map": torch.tensor([[[0, 0], [1, 1]]])}
-    shown = DERIVED["shown"].of({**maps, "panels": panels})
-    assert shown.tolist() == [[[FIRST_PANEL + 1] * 2, [FIRST_PANEL + len(PANEL_LABELS)] * 2]]
-
-
 def test_losses_of_seen_cells_are_those_of_their_pixels() -> None:
     torch.manual_seed(0)
     network = PictureTokens(EncoderConfig(width=32, heads=2, layers=1), views=2, size=4 * STRIDE, seen=5)
@@ -155,20 +145,3 @@ def test_garments_are_seen_in_drawn_pictures() -> None:
     assert pictures.dtype == np.uint8
     assert all(picture.std() > 5 for picture in pictures)
     assert not np.array_equal(pictures[0], pictures[1])
-
-
-@pytest.mark.parametrize(
-    ("drapes", "expected"), [("auto", "auto"), ("cuda:1", "cuda:1"), ("cuda:2,0", "cuda:2"), ("cpu", "auto")]
-)
-def test_pictures_are_rendered_where_garments_are_draped(
-    drapes: str, expected: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = []
-
-    def views(device: str) -> Views:
-        asked.append(device)
-        return picture_views("cpu")
-
-    monkeypatch.setattr(garments, "picture_views", views)
-    assert garments._views_on_gpu(("pictures",), drapes) is None  # on the CPU, workers render
-    assert asked == [expected]

@@ -1,52 +1,37 @@
 """The network of stitches: its invariances, its training, and how its scores become pairs of edges."""
 
-from contextlib import nullcontext
-from dataclasses import astuple, fields, replace
-from functools import cache
+from dataclasses import astuple, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_leaves
 
 from benchmarks.reconstruction.models.stitches import (
-    StitchExamples,
-    StitchLearner,
     StitchNet,
-    edge_noise,
-    mirrored,
     revealed,
 )
 from benchmarks.reconstruction.stitching.edge_shapes import next_on_boundary
 from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
-from benchmarks.reconstruction.stitching.merging import aligned, glued, merged, needed, split, subdivided
-from benchmarks.reconstruction.stitching.run import _by_kind, write
+from benchmarks.reconstruction.stitching.merging import aligned, glued, merged, split, subdivided
+from benchmarks.reconstruction.stitching.run import write
 from benchmarks.reconstruction.stitching.scores import (
-    StitchScore,
     congruences,
     score_intervals,
     score_stitches,
 )
 from benchmarks.reconstruction.stitching.sewing import best_pairs, greedy_by_length, sew, sew_in_ways
-from benchmarks.reconstruction.training import replace_tensors, tensors_of
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.faults import check_pattern
 from gcd_dataset.records import EdgeRef, Pattern, Seam
 from tests.benchmarks.reconstruction.toys import (
     ARMHOLE_L,
     ARMHOLE_R,
     CAP_1,
-    CAP_2,
     HEM,
-    NECK,
     SIDE_L,
     SIDE_R,
     SMALL,
     batch_of,
-    encode,
     net_of,
     nothing_known,
     panel,
@@ -82,13 +67,6 @@ def test_the_boundary_turns_at_a_sewn_seam() -> None:
     after = next_on_boundary(batch.following, known)
     assert after[0, rows[EdgeRef("front", HEM)]] == rows[EdgeRef("back", HEM)]
     assert after[0, rows[EdgeRef("back", ARMHOLE_L)]] == rows[EdgeRef("front", ARMHOLE_R)]
-
-
-def test_a_mirror_image_of_a_mirror_image_is_the_garment() -> None:
-    batch = batch_of(t_shirt())
-    chosen = torch.tensor([True])
-    twice = mirrored(mirrored(batch, chosen), chosen)
-    assert all(torch.allclose(value, getattr(batch, name)) for name, value in vars(twice).items())
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -129,122 +107,6 @@ def test_each_edge_is_sewn_once() -> None:
     for found in sew(net_of(), [tube(), t_shirt()]):
         sides = [side for seam in found.seams for side in (seam.left, seam.right)]
         assert len(sides) == len(set(sides))
-
-
-@pytest.mark.parametrize("foreign", [0.0, 0.25])
-def test_foreign_variants_are_trained_on_where_asked_for(foreign: float) -> None:
-    """All edges of the square tube's belts are seen whole, unless a quarter of the garments is subdivided."""
-    learner = StitchLearner(replace(SMALL, foreign=foreign))
-    examples = learner.examples([encode(tube())] * 12, device=torch.device("cpu"))
-    assert len(examples.graphs) == 12 * (4 if foreign else 3)
-    counts = {
-        count
-        for seed in range(8)
-        for count in examples.batch(torch.arange(12), torch.Generator().manual_seed(seed)).counts.tolist()
-    }
-    assert (max(counts) > 20) == (foreign > 0)
-    with pytest.raises(ConfigError, match="foreign"):
-        replace(SMALL, foreign=0.5)
-
-
-def test_a_step_copies_nothing_from_the_host(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a recorded step must not; the device is one without values, for which autocast does not exist."""
-    monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())
-    learner, meta = StitchLearner(SMALL), torch.device("meta")
-    batch = learner.of_one_shape(many()).batch(torch.arange(48), torch.Generator().manual_seed(0))
-    there: dict[str, Any] = {name: column.to(meta) for name, column in tensors_of(batch).items()}
-    there_too = replace(batch, graphs=batch.graphs.to(meta), **there)
-    learner.to(meta)
-    with Devices() as used:
-        torch.autograd.backward(torch.stack(list(learner.loss(there_too).values())).sum())
-    assert used.kinds == {"meta"}
-
-
-class Devices(TorchDispatchMode):
-    """The kinds of devices of the tensors that operations in its context read or write."""
-
-    def __init__(self) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
-        self.kinds: set[str] = set()
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        found = func(*args, **(kwargs or {}))
-        self.kinds |= {one.device.type for one in tree_leaves((args, kwargs, found)) if isinstance(one, torch.Tensor)}
-        return found
-
-
-@cache
-def many(count: int = 240, *, large: int = 12) -> StitchExamples:
-    """Garments of 16 edges, and a few of 26."""
-    arrays = [encode(t_shirt() if k < large else tube()) for k in range(count)]
-    return StitchLearner(SMALL).examples(arrays, device=torch.device("cpu"))
-
-
-def test_batches_of_one_shape_can_replace_each_other() -> None:
-    """As a recorded step needs; the last of these batches has as many large garments as the set."""
-    learner = StitchLearner(SMALL)
-    examples = learner.of_one_shape(many())
-    drawn = torch.stack([torch.randint(240, (48,), generator=torch.Generator().manual_seed(k)) for k in range(8)])
-    batches = [examples.batch(rows, torch.Generator().manual_seed(k)) for k, rows in enumerate(drawn)]
-    assert len({batch.parts for batch in batches}) == 1
-    assert [part.rows for part in batches[0].parts] != [48]
-    assert len({tuple(batch.counts.tolist()) for batch in batches}) > 1
-    for batch in batches[1:]:
-        replace_tensors(batches[0], batch)
-        assert all(torch.equal(ours, tensors_of(batch)[name]) for name, ours in tensors_of(batches[0]).items())
-    with pytest.raises(ValueError, match="shapes"):
-        replace_tensors(batches[0], examples.batch(drawn[0, :40], torch.Generator()))
-    other = replace(examples, one_shape=False).batch(drawn[0], torch.Generator())
-    with pytest.raises(ValueError, match="parts"):
-        replace_tensors(batches[0], other)
-
-
-def test_wider_parts_change_no_loss() -> None:
-    torch.manual_seed(0)
-    learner = StitchLearner(SMALL)
-    examples = many()
-    rows = torch.randint(240, (48,), generator=torch.Generator().manual_seed(0))
-    ours, padded = (
-        learner.loss(replace(examples, one_shape=one_shape).batch(rows, torch.Generator().manual_seed(1)))
-        for one_shape in (False, True)
-    )
-    assert {name: value.item() for name, value in padded.items()} == pytest.approx(
-        {name: value.item() for name, value in ours.items()}, rel=1e-4
-    )
-
-
-def test_a_garment_without_room_in_a_batch_of_one_shape_is_left_out() -> None:
-    learner = StitchLearner(SMALL)
-    examples = replace(many(), one_shape=True)
-    rows = torch.arange(48) % 12  # the large ones only
-    batch = examples.batch(rows, torch.Generator().manual_seed(0))
-    small = sum(part.rows for part in batch.parts if part.width < 26)
-    assert 0 < (batch.counts == 0).sum() <= small
-    assert all(value.isfinite() for value in learner.loss(batch).values())
-    everything = replace(many(120, large=60), one_shape=True).batch(rows, torch.Generator().manual_seed(0))
-    assert (everything.counts > 0).all()
-
-
-def test_what_is_drawn_for_a_garment_does_not_depend_on_the_others_of_its_batch() -> None:
-    """So that two ranks, each with half of a batch, learn what one process learns."""
-    examples = many()
-    rows = torch.randperm(240, generator=torch.Generator().manual_seed(0))[:48]
-    whole, *halves = (
-        sorted(torch.stack([column.double() for column in tensors_of(batch).values()], dim=1).tolist())
-        for some in (rows, rows[::2], rows[1::2])
-        for batch in [examples.batch(some, torch.Generator().manual_seed(1))]
-    )
-    assert sorted([*halves[0], *halves[1]]) == whole
-
-
-def test_numbers_that_vary_the_order_of_seams_are_uniform_and_independent() -> None:
-    numbers = edge_noise(torch.arange(2000) * 7919, 64).double()
-    assert numbers.min() >= 0 and numbers.max() < 1
-    counts = torch.histc(numbers, 64, 0, 1)
-    assert ((counts - 2000).square() / 2000).sum() < 120  # chi square of 63 degrees
-    centred = numbers - 0.5
-    for other in (centred.roll(1, 0), centred.roll(1, 1)):
-        assert abs((centred * other).mean() * 12) < 0.015
 
 
 def heaviest(gain: np.ndarray, free: tuple[int, ...]) -> float:
@@ -321,27 +183,6 @@ def test_two_halves_that_a_straight_seam_joins_become_the_whole_panel() -> None:
     ).all()
 
 
-@pytest.mark.parametrize("share", [0.2, 0.8])
-def test_a_cut_within_a_seam_of_two_whole_edges_is_not_needed(share: float) -> None:
-    """Whatever the needless subdivision, the cut of the cap, which is sewn to two panels, stays."""
-    found = merged(t_shirt())
-    assert found is not None
-    side, other = EdgeRef("front", SIDE_R), EdgeRef("back", SIDE_L)
-    cuts = {**found.cuts, side: (share,), other: (1 - share,), EdgeRef("front", NECK): (share,)}
-    parts = split(found.pattern, cuts)
-    seams = [
-        *(seam for seam in parts.seams if side.panel not in (seam.left.panel, seam.right.panel)),
-        Seam(EdgeRef("front", 1), EdgeRef("back", 8)),
-        Seam(EdgeRef("front", 2), EdgeRef("back", 7)),
-        Seam(EdgeRef("one", CAP_1), EdgeRef("back", ARMHOLE_L)),
-        Seam(EdgeRef("one", CAP_2), EdgeRef("front", ARMHOLE_R + 1)),
-        Seam(EdgeRef("two", CAP_1), EdgeRef("front", ARMHOLE_L + 2)),
-        Seam(EdgeRef("two", CAP_2), EdgeRef("back", ARMHOLE_R)),
-    ]
-    assert needed(found.pattern, cuts, replace(parts, seams=tuple(seams))) == found.cuts
-    assert needed(found.pattern, found.cuts, split(found.pattern, found.cuts)) == {}
-
-
 def test_ways_of_subdivision_are_those_of_one_way_each() -> None:
     """A network that has learnt nothing subdivides all edges at so low a log-odds; needless cuts are taken back."""
     pattern = replace(tube(), seams=())
@@ -354,17 +195,6 @@ def test_ways_of_subdivision_are_those_of_one_way_each() -> None:
     counts = [sum(len(panel.edges) for panel in found.panels) for _, (found,) in several]
     assert counts[2] > counts[0] == 16
     assert counts[3] < counts[2]
-
-
-def test_edges_sewn_to_one_panel_are_not_joined() -> None:
-    pattern = t_shirt()
-    seams = tuple(
-        replace(seam, left=EdgeRef("front", NECK)) if seam.left == EdgeRef("back", ARMHOLE_L) else seam
-        for seam in pattern.seams
-    )
-    found = merged(replace(pattern, seams=seams))
-    assert found is not None
-    assert set(found.cuts) == {EdgeRef("two", CAP_1)}
 
 
 def test_intervals_of_the_truth_score_one_and_misplaced_ones_do_not() -> None:
@@ -429,10 +259,3 @@ def test_answers_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "1_000000000_specification.json", "1_000000001_specification.json", "own.json",
     ]  # fmt: skip
-
-
-def test_scores_of_kinds_leave_out_missing_ones() -> None:
-    """A kind without seams n to m has none."""
-    best, least = (StitchScore(*[value] * len(fields(StitchScore))) for value in (1.0, 0.0))
-    assert _by_kind(["skirt", "dress", "skirt"], [best, least, least]) == {"dress": [least], "skirt": [best, least]}
-    assert _by_kind(["skirt", "dress", "skirt"], [best, None, least]) == {"skirt": [best, least]}

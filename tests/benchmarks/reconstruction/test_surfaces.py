@@ -11,7 +11,6 @@ from benchmarks.reconstruction.drapes import (
     DrapedVertices,
     counted,
     score_drapes,
-    transferred,
 )
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
 from benchmarks.reconstruction.models.baselines import box_mesh, solver
@@ -23,14 +22,10 @@ from benchmarks.reconstruction.surfaces import (
     NEIGHBOURS,
     SurfaceArrays,
     SurfaceStore,
-    cloud_of,
     drawn_turn,
     surface_of,
 )
 from benchmarks.reconstruction.vertex_labels import TrueLabels, VertexLabels, VertexScore, score_labels, true_labels
-from benchmarks.reconstruction.wearers import box_mesh_of, measurements_of, wearer_of
-from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
-from gcd_dataset.measurements import MEASURES
 from gcd_dataset.tensors import EDGE_LABELS
 
 CPU = torch.device("cpu")
@@ -121,17 +116,6 @@ def test_a_turn_keeps_shapes_and_does_not_depend_on_the_batch() -> None:
     moved = turn.of(batch)
     assert moved.normals.norm(dim=1).numpy() == pytest.approx(1, abs=1e-5)
     assert moved.positions.shape == batch.positions.shape
-
-
-def test_neighbours_of_points_are_the_nearest_of_each_other() -> None:
-    points, _ = sheet()
-    found = cloud_of(points, np.ones_like(points), clusters=4)
-    apart = ((points[:, None] - points) ** 2).sum(axis=2)
-    nearest = [set(row) for row in np.argsort(apart, axis=1)[:, 1 : 1 + NEIGHBOURS].tolist()]
-    for row, others in enumerate(nearest):
-        expected = {other for other in others if row in nearest[other]}
-        assert set(found.neighbours[row].tolist()) - {row} == expected
-    assert_reverse_edges(found)
 
 
 def test_a_vertex_of_many_neighbours_keeps_the_nearest() -> None:
@@ -240,16 +224,6 @@ def test_the_loss_of_sets_does_not_depend_on_their_numbering() -> None:
         assert torch.allclose(a, b)
 
 
-def test_a_perfect_choice_has_no_loss() -> None:
-    true = members(0, 0, 1, 1, 2, 2)
-    sure = torch.full((1, 6, 4), -50.0)
-    sure[0, torch.arange(6), torch.tensor([3, 3, 0, 0, 1, 1])] = 50.0
-    entropy, _ = set_loss(sure, true, INSIDE)
-    assert entropy == pytest.approx(0, abs=1e-5)
-    sure[0, 5] = sure[0, 0]  # now a vertex of the third set is in the first
-    assert set_loss(sure, true, INSIDE)[0] > 10
-
-
 def test_shuffled_meshes_get_the_same_labels_shuffled(draped: GarmentSet) -> None:
     torch.manual_seed(0)
     learner = build(smoke=True, options={}).eval()
@@ -273,17 +247,6 @@ def test_shuffled_meshes_get_the_same_labels_shuffled(draped: GarmentSet) -> Non
     assert score_labels(one, true_labels(garment, 0)).panel_label == pytest.approx(
         score_labels(two, true_labels(other, 0)).panel_label, abs=0.02
     )
-
-
-def test_a_mirror_image_has_the_classes_of_the_other_side(draped: GarmentSet) -> None:
-    examples = build(smoke=True, options={}).prepare(draped, device=CPU)
-    rows = torch.arange(len(draped))
-    plain = examples.batch(rows)
-    drawn = [examples.batch(rows, torch.Generator().manual_seed(seed)) for seed in range(4)]
-    for batch in drawn:
-        assert torch.equal(batch.panels, plain.panels)
-        assert torch.equal(batch.classes.sum(dim=-1), plain.classes.sum(dim=-1))
-    assert any(not torch.equal(batch.surface.positions, plain.surface.positions) for batch in drawn)
 
 
 # --------------------------------------------------------------------------------------------------------------- drapes
@@ -311,28 +274,12 @@ def test_crossings_are_counted_on_the_wearer(draped: GarmentSet) -> None:
     assert through > 5
 
 
-def test_a_finer_mesh_carries_a_linear_map_exactly(draped: GarmentSet) -> None:
-    """Positions that are linear in a panel's plane survive the transfer; seam vertices take the mean of two panels."""
-    fine, own = build_box_mesh(draped.pattern(0), spacing=3.0), box_mesh_of(draped, 0)
-    inner = ~np.isin(np.arange(len(own.vertices)), own.seams[:, 0])
-    found = transferred(fine.vertices, fine, draped, 0)
-    away = np.linalg.norm(found - own.vertices, axis=1)[inner]
-    assert np.median(away) < 0.1
-
-
 def test_the_solver_drapes_a_garment_as_before(draped: GarmentSet) -> None:
     one = draped.select([0])
     (score,) = score_drapes(solver(one, one, device=CPU), one, crossings=False)
     (unmoved,) = score_drapes(box_mesh(one, one, device=CPU), one, crossings=False)
     assert score.error_cm < 2 < unmoved.error_cm
     assert score.ms > 0
-
-
-def test_wearers_have_the_measures_of_their_garments(draped: GarmentSet) -> None:
-    for k in range(len(draped)):
-        height = np.ptp(wearer_of(draped, k).vertices[:, 1])
-        assert height == pytest.approx(draped.measures[k, MEASURES.index("height")], abs=0.5)
-        assert measurements_of(draped, k).height == pytest.approx(height, abs=0.5)
 
 
 def test_depth_is_measured_below_the_skin(draped: GarmentSet) -> None:

@@ -52,10 +52,8 @@ def patterns_in(folder: Path) -> list[Path]:
     return sorted(folder.glob("*.json"))
 
 
-def test_answers_are_written_and_scored(tmp_path: Path, small: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out"
-    assert main([*CALL, *small, "--out", str(out)]) == 0
-    assert "T0.panel_set.iou " in capsys.readouterr().out
+def test_answers_are_written_and_scored(once: Path) -> None:
+    out = once
     pairs = list(zip(patterns_in(out / "predictions"), patterns_in(out / "truth"), strict=True))
     assert [one.name for one, _ in pairs] == [f"1_{k:09d}.json" for k in range(3)]
     report = json.loads((out / "report.json").read_text())
@@ -70,43 +68,24 @@ def test_answers_are_written_and_scored(tmp_path: Path, small: list[str], capsys
     assert [read_pattern(other).extra["properties"]["kind"] for _, other in pairs] == ["skirt"] * 3
 
 
-@pytest.mark.parametrize("given", [CALL, ["typical"]], ids=["panel_set", "typical"])
 def test_a_finished_run_is_not_answered_again(
-    given: list[str],
-    tmp_path: Path,
-    small: list[str],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    trained: Path, small: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Unless a file that the evaluator needs is missing."""
-    out = tmp_path / "out"
-    call = [*given, *small, "--out", str(out)]
-    assert main(call) == 0
-    first = capsys.readouterr()
+    out, call = trained, [*CALL, *small, "--out", str(trained)]
     written = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in out.rglob("*") if path.is_file()}
     with monkeypatch.context() as patch:
         for name in ("train", "_answers"):
             patch.setattr(train, name, Mock(side_effect=AssertionError))
         assert main(call) == 0
     again = capsys.readouterr()
-    assert again.out == first.out
+    assert "T0.panel_set.iou " in again.out
     assert f"{out / 'report.json'} is of this run" in again.err
     assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in written} == written
-    for folder in ("predictions", "truth", "bodies") if given == ["typical"] else ("predictions",):
-        removed = next((out / folder).iterdir())
-        removed.unlink()
-        assert main(call) == 0
-        assert removed.exists()
-
-
-def test_a_report_of_other_test_garments_is_overwritten(tmp_path: Path, small: list[str]) -> None:
-    call = ["typical", *small, "--out", str(tmp_path / "out")]
-    for count in (3, 2):
-        assert main([*call, "--test", str(count)]) == 0
-        assert json.loads((tmp_path / "out" / "report.json").read_text())["data"]["test"]["count"] == count
-    (tmp_path / "out" / "report.json").write_text("{")
+    removed = next((out / "predictions").iterdir())
+    removed.unlink()
     assert main(call) == 0
-    assert json.loads((tmp_path / "out" / "report.json").read_text())["data"]["test"]["count"] == 3
+    assert removed.exists()
 
 
 def test_answers_of_an_earlier_run_are_removed(tmp_path: Path, small: list[str]) -> None:

@@ -1,10 +1,8 @@
 """A learner that fits a line, for tests of the training loop."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, sin
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -17,7 +15,6 @@ from benchmarks.reconstruction.models.stitches import (
     StitchNet,
 )
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
-from benchmarks.reconstruction.training import TrainConfig, one_of_several_ranks, train
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.tensors import encode_pattern
@@ -53,18 +50,6 @@ class LineLearner(Learner[Line, float]):
     def predict(self, batch: Line) -> list[float]:
         with torch.no_grad():
             return self.net(batch.x)[:, 0].tolist()
-
-
-def train_rank(rank: int, world: int, port: int, steps: int, file: Path) -> None:
-    """Train as one rank of several, which meet at a store on ``port``, and write the first rank's weights."""
-    os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank), "WORLD_SIZE": str(world), "MASTER_PORT": str(port)}
-    os.environ |= {"MASTER_ADDR": "127.0.0.1", "TORCHELASTIC_USE_AGENT_STORE": "True"}
-    os.environ["TORCHELASTIC_RESTART_COUNT"] = "0"
-    torch.set_num_threads(1)
-    with one_of_several_ranks("cpu") as device:
-        found = train(LineLearner(), line(), TrainConfig(steps=steps, batch=8, lr=0.1), device=device)
-    if rank == 0:
-        torch.save(found.learner.state_dict(), file)
 
 
 # -------------------------------------------------------------------------------------------------------- sewn patterns
