@@ -82,7 +82,7 @@ if __name__ == "__main__":
 TREE = Path(__file__).resolve().parent.parent
 PACKAGES = (
     "gcd-dataset", "newton", "numpy", "scipy", "shapely", "torch", "warp-lang", "webdataset", "litdata", "h5py",
-    "mmap_ninja", "mosaicml-streaming", "pylance", "pyarrow",
+    "mosaicml-streaming",
 )  # fmt: skip
 
 

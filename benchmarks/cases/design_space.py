@@ -288,7 +288,7 @@ Bin: TypeAlias = int | str
 
 @dataclass(frozen=True)
 class Shift:
-    """How far selection moves the distribution of a parameter."""
+    """The shift of a parameter's distribution by selection."""
 
     moved: float
     """Total variation between proposed and accepted values, 0 to 1."""

@@ -123,7 +123,7 @@ def _shares(rows: list[dict[str, Any]], spacings: list[float]) -> Iterator[Figur
 
 
 def _uniform(spacings: list[float], device: str) -> Iterator[Figure]:
-    """How far cotton is from its target on discs of uniform mesh."""
+    """Error of cotton's drape coefficient on discs of uniform mesh."""
     for spacing in spacings:
         found = drape_coefficient(
             fabric_named("cotton"), spacing=spacing, specimens=SPECIMENS, edge=spacing, device=device

@@ -165,7 +165,7 @@ def _stream(folder: Path, fields: Sequence[str]) -> None:
 
 
 def _wait(folder: Path) -> list[Figure]:
-    """How long a small network waits for its batches, in the median of several epochs."""
+    """Share of the time that a small network waits for batches: the median of several epochs."""
     network = torch.nn.Sequential(torch.nn.Linear(6, WIDTH), torch.nn.ReLU(), torch.nn.Linear(WIDTH, 1))
     loader, epochs = GarmentLoader(opened(folder, ["points"]), BATCH), []
     for _ in range(TIMES):

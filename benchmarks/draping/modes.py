@@ -1,4 +1,4 @@
-"""What ``benchmarks.run drape`` measures besides outcomes: devices, memory, sewing, features; pictures of failures."""
+"""Modes of ``benchmarks.run drape``: two devices, memory, end of sewing, switched features; pictures of failures."""
 
 import os
 import time

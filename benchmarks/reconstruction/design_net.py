@@ -78,7 +78,7 @@ class Words:
     """Predictions of the decoder."""
 
     outputs: Float[Tensor, "b d o"]
-    """For a choice, logits of its options; for a number, its value as a share of the range and the default's logit."""
+    """Logits of the options of each choice; for each number its share of the range, and the logit of its default."""
     measures: Float[Tensor, "b m"]
     """Body measures, in standard deviations from the mean."""
 

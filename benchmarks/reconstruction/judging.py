@@ -1,4 +1,4 @@
-"""How the answers of a task are scored, drawn and written: one ``Judge`` for each kind of answer."""
+"""Scores, pictures and files of the answers to a task: one ``Judge`` for each kind of answer."""
 
 import json
 from collections.abc import Sequence
@@ -176,8 +176,6 @@ class Measures:
     """Answers are rows of ``MEASURES`` [cm, degrees], written as ``predictions/KEY.json``."""
 
     def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
-        from benchmarks.reconstruction.judging import score_measures
-
         return [score_measures(answer, garments.measures[k]) for k, answer in enumerate(answers)]
 
     def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:

@@ -74,7 +74,7 @@ class PanelTargets(TensorExamples):
 
 @dataclass(frozen=True)
 class ToTargets:
-    """From garments to their ``PanelTargets``, on a CPU."""
+    """Encodes garments as ``PanelTargets``, on the CPU."""
 
     queries: int
     slots: int

@@ -1,4 +1,4 @@
-"""What drawn pictures are worth: panels from two pictures of a draped garment, by one network trained on three inputs.
+"""The gain by drawn pictures: one network, trained on three inputs, predicts panels from two pictures of a garment.
 
     python -m benchmarks.run pictures_matter --count 12 --steps 30 --size 64 --device cpu
 
@@ -315,7 +315,7 @@ class Pool:
             self.added += len(batch.positions)
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> PictureTargets:
-        """As many readings as ``rows``, with repetition."""
+        """One reading per row, drawn with repetition; the rows themselves are not used."""
         slots = torch.randint(len(self), (len(rows),), generator=self.chance)
         here = slots.to(self._pictures.device)
         targets = self._targets[self._positions[slots].to(here.device)]
@@ -378,7 +378,7 @@ def trained_and_tested(
 
 
 def planned_steps(pool: Pool, data: Data, args: argparse.Namespace, seconds: float) -> int:
-    """As many steps as fit into ``seconds``, by the pace of a network that is thrown away."""
+    """The number of steps that fit into ``seconds``, by the pace of a network that is thrown away."""
     begun = time.perf_counter()
     train(pool, data, PROBE // 2, args)
     start = time.perf_counter()

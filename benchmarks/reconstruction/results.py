@@ -65,7 +65,7 @@ class Entry:
     tested: int = 0
     """Garments of the test set."""
     tests: str = ""
-    """Which garments these are: equal for the same patterns, draped at the same resolution."""
+    """Identity of the test set: equal for the same patterns draped at the same resolution."""
     steps: int = 0
     """Steps that were asked for; 0: the training was given a time."""
     asked: float = 0.0
@@ -78,7 +78,7 @@ class Entry:
 
     @property
     def length(self) -> str:
-        """How long the training was to be; empty for a reference without one."""
+        """The length that was asked for; empty for a reference without a training."""
         if not self.minutes:
             return ""
         if self.steps:

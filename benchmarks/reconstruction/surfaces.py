@@ -236,7 +236,7 @@ class SurfaceBatch:
 
     @property
     def exists(self) -> Bool[Tensor, "b n"]:
-        """Which entries of ``padded`` are vertices."""
+        """Mask of the entries of ``padded`` that are vertices."""
         numbers = torch.arange(int(self.counts.max()), device=self.counts.device)
         return numbers < self.counts[:, None]
 

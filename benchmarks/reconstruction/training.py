@@ -108,7 +108,7 @@ class Trained:
     """The end of a training."""
 
     learner: Learner[Any, Any]
-    """With the averaged weights, in evaluation mode."""
+    """The learner with averaged weights, in evaluation mode."""
     steps: int
     seconds: float
     """Time of the steps."""

@@ -187,7 +187,7 @@ def test_all_loaders_yield_the_same_batches(folder: Path, config: str) -> None:
             assert torch.equal(rows, expected[field]), (name, field)
             if field != "points":
                 assert torch.equal(batch[f"{field}_ptr"], expected[f"{field}_ptr"]), (name, field)
-    assert len(installed) >= 6
+    assert len(installed) >= 4
 
 
 def test_a_figure_is_the_median_over_pairs_of_epochs() -> None:

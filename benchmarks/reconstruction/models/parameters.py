@@ -71,7 +71,7 @@ class Designs(DesignTargets):
 
 @dataclass(frozen=True)
 class ToDesigns:
-    """From garments with the field ``design`` to their ``Designs``, on a CPU."""
+    """Encodes garments that have the field ``design`` as ``Designs``, on the CPU."""
 
     points: int
     labelled: bool

@@ -103,7 +103,7 @@ class PictureSet(Learner[PictureTargets, Pattern]):
 
 @dataclass(frozen=True)
 class ToPictureTargets:
-    """From garments to their ``PictureTargets``, on a CPU."""
+    """Encodes garments as ``PictureTargets``, on the CPU."""
 
     to_targets: ToTargets
 

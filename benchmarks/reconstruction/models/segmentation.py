@@ -189,7 +189,7 @@ def _prepared(tokens: int, with_edges: bool, mesh: tuple[np.ndarray, np.ndarray]
 
 
 class _Members:
-    """Which vertex has which labels, as pairs on a device."""
+    """Pairs of vertex and label, on a device."""
 
     def __init__(self, tables: Sequence[Bool[np.ndarray, "v n"]], device: torch.device) -> None:
         pairs = [np.argwhere(table) for table in tables]

@@ -101,7 +101,7 @@ class StitchLogits:
     free: Float[Tensor, "b e"]
     right_wrong: Float[Tensor, "b e e"]
     cuts: Float[Tensor, "b e bins"]
-    """That a bin of the edge contains a point of subdivision."""
+    """Logits: does a bin of the edge contain a point of subdivision?"""
     cut_offsets: Float[Tensor, "b e bins"]
     """Position within the bin, in [0, 1]."""
 
@@ -319,7 +319,7 @@ class StitchExamples:
     """
 
     graphs: PackedGraphs
-    """As many rows for each garment as there are variants."""
+    """One row per variant of each garment."""
     arrays: tuple[Arrays, ...]
     """The garments' patterns."""
     config: StitchConfig
