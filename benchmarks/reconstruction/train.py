@@ -62,6 +62,8 @@ OF_GARMENTS, SUFFIXES = ("predictions", "truth", "inputs", "bodies"), (".json", 
 """Folders of the files of test garments, and how these end after the garment's key."""
 UNFINISHED = 3
 """Exit code of a call that ``--limit-minutes`` ended."""
+AS_GIVEN = ("source", "leave_out", "fresh", "make_device", "smoke", "make_only", "limit_minutes", "drape")
+"""Fields of ``Options`` that are options of the command."""
 SMOKE: Mapping[str, Any] = {
     "train": 16, "test": 8, "resolution": 4.0,
     "design": {"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "Skirt2"]}}},
@@ -170,17 +172,10 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
         config=TrainConfig(**chosen, seed=args.seed, compile=args.compile),
         sizes=_sizes(args.set),
         data=Path(args.data) if args.data else out.parent / "garments",
-        source=args.source,
-        leave_out=args.leave_out,
-        fresh=args.fresh,
         recipe=recipe,
         workers=workers,
         device=device,
-        make_device=args.make_device,
-        smoke=args.smoke,
-        make_only=args.make_only,
-        limit_minutes=args.limit_minutes,
-        drape=args.drape,
+        **{name: getattr(args, name) for name in AS_GIVEN},
     )
 
 
