@@ -31,12 +31,6 @@ LENGTH = Leaf("skirt.length", Real(0.0, 0.4, 0.0, 1.0))
 CUT = Leaf("skirt.cut", Choice("plain", None, ("plain", "flared")))
 
 
-def test_nothing_moves_without_selection() -> None:
-    values = list(np.linspace(0, 1, 101))
-    assert shift(LENGTH, values, values, paired=True).moved == 0
-    assert shift(LENGTH, values, values, paired=True).noise == 0
-
-
 def test_a_limit_moves_the_share_above_it() -> None:
     values = [0.01 + 0.98 * k / 999 for k in range(1000)]
     within = [value if value < 0.75 else value - 0.75 for value in values]

@@ -188,22 +188,11 @@ def test_drapes_by_other_settings_are_not_compared(change: dict[str, Any], messa
     assert [row.name for row in differences(flat, other)] == ["iou"]
 
 
-def test_a_folder_and_a_file_are_not_compared(tmp_path: Path) -> None:
-    folder, file = run_folder(tmp_path / "a", equal(1)), evaluated(tmp_path / "b.json", equal(1))
-    with pytest.raises(ConfigError, match="give two folders, or two files"):
-        differences(read_scores(folder), read_scores(file))
-
-
 def test_missing_garments_are_named() -> None:
     more, fewer = scores(equal(1.0, 41)), scores(equal(1.0, 40))
     for pair in ((more, fewer), (fewer, more)):
         with pytest.raises(ConfigError, match="model: no garment g40; one of both lacks 1"):
             differences(*pair)
-
-
-def test_models_without_a_common_score_are_not_compared() -> None:
-    with pytest.raises(ConfigError, match="no score of model: compare models of one task"):
-        differences(scores(equal(1.0)), scores([{"error_cm": 1.0}] * LEAST_GARMENTS))
 
 
 @pytest.mark.parametrize(

@@ -135,19 +135,6 @@ def test_results_on_other_test_garments_have_a_table_of_their_own(tmp_path: Path
         assert other.index("| few | 4 |") < other.index("| few too | 4 |")
 
 
-def test_a_result_on_other_test_garments_replaces_none(tmp_path: Path) -> None:
-    """The command of the second one differs by ``--test 100``."""
-    for found in (result("T0", "nearest", 0.2), result("T0", "nearest", 0.9, tested=100)) * 2:
-        assert added(tmp_path, found) == 0
-    assert [(e.tested, e.scores["topology_exact"][0]) for e in read_entries(tmp_path / "learning")] == [
-        (100, 0.9),
-        (500, 0.2),
-    ]
-    assert (
-        "| nearest | 4 | 8.0 | 0.2 (0.1 to 0.3) |" in (tmp_path / "leaderboard.md").read_text().split("Results on")[0]
-    )
-
-
 @pytest.mark.parametrize("sign", ["option", "command", "garments"])
 def test_smoke_runs_are_refused(sign: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found, path = result("T0", "panel_set", 0.2, tested=8), tmp_path / "report.json"
@@ -174,17 +161,6 @@ def test_models_are_ranked_by_a_score_that_all_have(tmp_path: Path) -> None:
     board = (tmp_path / "leaderboard.md").read_text()
     assert "| model | trained on | minutes | within_1cm | topology_exact | stitch_f1 | sim_ok |" in board
     assert "| other | 4 | 8.0 |  | 0.5 (0.4 to 0.6) |  |  |" in board
-
-
-def test_lengths_of_trainings_are_told_apart(tmp_path: Path) -> None:
-    """2.4 and 2.5 minutes, measured with the last step, and steps whatever time they took."""
-    for exact, steps, minutes in ((0.3, 0, 2.4003), (0.4, 0, 2.5008), (0.5, 1200, 2.5)):
-        added(tmp_path, result("T1", "panel_set", exact, steps=steps) | {"minutes": minutes})
-    added(tmp_path, result("T1", "panel_set", 0.5, train=8, steps=1200) | {"minutes": 7.0})
-    page = (tmp_path / "learning_T1.md").read_text()
-    for head in ("4 garments, 2.4 minutes", "4 garments, 2.5 minutes", "4 garments, 1,200 steps"):
-        assert page.count(f"## panel_set, {head}\n") == 1
-    assert "| topology_exact | panel_set, 1,200 steps | 0.5 (0.4 to 0.6) | 0.5 (0.4 to 0.6) |" in page
 
 
 @pytest.mark.parametrize("changed", [{"seed": 1}, {"lr": 0.125}, {"batch": 7}])

@@ -15,7 +15,7 @@ from benchmarks.reconstruction.derived import CENTRE, DERIVED, PANEL_CLASSES, de
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
 from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
-from benchmarks.reconstruction.models.parameters import MOST_GROWTH, Designs, ParameterNet, build, label_losses
+from benchmarks.reconstruction.models.parameters import MOST_GROWTH, Designs, ParameterNet, build
 from benchmarks.reconstruction.panel_targets import UNIT
 from benchmarks.reconstruction.train import main
 from gcd_dataset.curves import sample_curve
@@ -178,20 +178,6 @@ def test_scaled_codes_draw_the_scaled_panels_on_the_scaled_body() -> None:
         fits.append(bool((apart_cm < 0.02 * np.array(sizes[1]) + 0.6).all()))  # some lengths are whole centimetres
     assert len(fits) > 10
     assert np.mean(fits) > 0.85
-
-
-def test_answers_use_all_stored_points(six: GarmentSet) -> None:
-    """Also those beyond as many as a training step sees."""
-    network = learner().eval()
-    network.decoder.learn_range(six)
-    examples = network.prepare(six, device=CPU)
-    moved = examples.whole.points.clone()
-    moved[:, network.config.points :, 0] += 0.5
-    one, other = (
-        [answer.measures for answer in network._said(some.batch(torch.arange(6)))]
-        for some in (examples, replace(examples, whole=replace(examples.whole, points=moved)))
-    )
-    assert not np.allclose(one, other)
 
 
 def test_training_batches_are_mirrored_and_scaled(six: GarmentSet) -> None:
@@ -372,23 +358,6 @@ def test_a_drape_that_failed_has_labels_too(value: float) -> None:
     vertices = dress()["box"].clone()
     vertices[::7] = value
     assert DERIVED["draped_labels"].of({**dress(), "verts": vertices}).shape == (4096, 3)
-
-
-def test_right_shares_cost_least() -> None:
-    """The loss of the true shares is the entropy of the labels; any other answer costs more."""
-    torch.manual_seed(0)
-    labels = torch.tensor([[3.0, 0, 0], [3.0, 0, 1], [3.0, 2, 0], [5.0, 0, 1]]).expand(1, 2, -1, -1)
-    panels, edges = torch.full((len(PANEL_CLASSES),), -30.0), torch.full((len(EDGE_LABELS),), -30.0)
-    panels[[3, 5]] = torch.tensor([0.75, 0.25]).log()
-    edges[1] = torch.logit(torch.tensor(0.25))  # label 2; label 0 has no column
-    edges[-1] = 0.0  # half of the points are on a seam
-    said = torch.cat([panels, edges]).expand(1, 2, -1)
-    best = label_losses(said, labels)
-    entropy = -(0.75 * np.log(0.75) + 0.25 * np.log(0.25))
-    assert best["panels"].item() == pytest.approx(entropy, rel=1e-4)
-    for _ in range(5):
-        worse = label_losses(said + 0.5 * torch.randn_like(said), labels)
-        assert all(worse[name] > best[name] for name in best)
 
 
 def test_mirror_images_have_the_labels_of_the_other_side(six: GarmentSet) -> None:

@@ -13,7 +13,7 @@ from benchmarks.reconstruction.models.stitches import (
 )
 from benchmarks.reconstruction.stitching.edge_shapes import next_on_boundary
 from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
-from benchmarks.reconstruction.stitching.merging import aligned, glued, merged, split, subdivided
+from benchmarks.reconstruction.stitching.merging import aligned, glued, merged, split
 from benchmarks.reconstruction.stitching.run import write
 from benchmarks.reconstruction.stitching.scores import (
     congruences,
@@ -67,27 +67,6 @@ def test_the_boundary_turns_at_a_sewn_seam() -> None:
     after = next_on_boundary(batch.following, known)
     assert after[0, rows[EdgeRef("front", HEM)]] == rows[EdgeRef("back", HEM)]
     assert after[0, rows[EdgeRef("back", ARMHOLE_L)]] == rows[EdgeRef("front", ARMHOLE_R)]
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_the_fourth_variant_has_seams_of_many_parts_and_each_joins_two_edges(seed: int) -> None:
-    """Runs of edges: the part after one end of a seam is sewn to the part before the other end."""
-    pattern = t_shirt()
-    found = subdivided(pattern, np.random.default_rng(seed), share=1.0, most=3, free=True)
-    lengths = dict(zip(edge_refs(found), (v for p in found.panels for v in p.edge_lengths()), strict=True))
-    assert 20 <= len(found.seams) <= 40
-    assert all(lengths[seam.left] == pytest.approx(lengths[seam.right], rel=1e-2) for seam in found.seams)
-    graph = graph_of(found)
-    before = np.argsort(graph.following)
-    runs = [
-        row
-        for row in np.flatnonzero(graph.partners >= 0)
-        if graph.partners[graph.following[row]] == before[graph.partners[row]]
-    ]
-    assert len(runs) >= 20
-    free = sum(len(p.edges) for p in pattern.panels) - 2 * len(pattern.seams)
-    assert (graph.partners < 0).sum() >= 2 * free
-    assert sum(lengths.values()) == pytest.approx(sum(v for p in pattern.panels for v in p.edge_lengths()), rel=1e-3)
 
 
 def test_half_of_the_seams_are_given_the_surest_first() -> None:
