@@ -1,11 +1,9 @@
 """The garments of a draping benchmark: designs of our sampler, or drawn like GarmentCode's, with their wearers."""
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
-from multiprocessing import get_context
 
 import numpy as np
 
@@ -25,6 +23,7 @@ from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Body, Drape, Measurements, Outcome
 from gcd_dataset.seeding import Stage, rng
+from gcd_dataset.workers import parallel_map
 
 Wearer = tuple[Body, Measurements]
 
@@ -50,9 +49,8 @@ class Worn:
 def sampled(seed: int, designs: int, *, resolution: float, workers: int = 1) -> list[Worn]:
     """Sample ``designs`` designs, each meshed at ``resolution`` [cm] for two wearers, in ``workers`` processes."""
     config = MakeConfig(bodies="both", resolution=resolution, device="cpu")
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        made = pool.map(partial(_dressed, seed, config), range(designs))
-        return [worn for design in made for worn in design]
+    made = parallel_map(partial(_dressed, seed, config), range(designs), workers)
+    return [worn for design in made for worn in design]
 
 
 def reference_sampled(
@@ -62,9 +60,7 @@ def reference_sampled(
 
     ``wearer_apart``: the same body with its legs apart, for trousers.
     """
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        wear = partial(_reference_worn, seed, wearer, wearer_apart, resolution)
-        return list(pool.map(wear, range(designs)))
+    return list(parallel_map(partial(_reference_worn, seed, wearer, wearer_apart, resolution), range(designs), workers))
 
 
 def _reference_worn(seed: int, wearer: Wearer, wearer_apart: Wearer, resolution: float, number: int) -> Worn:

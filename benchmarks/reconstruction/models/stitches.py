@@ -14,10 +14,8 @@ points of subdivision (``cuts``), which then move to agree with the lengths of t
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -45,6 +43,7 @@ from benchmarks.reconstruction.stitching.merging import glued, merged, split, su
 from benchmarks.reconstruction.stitching.sewing import Subdivision, sew
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
+from gcd_dataset.workers import parallel_map
 
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 8e-4}
 """Options of a training on a GPU."""
@@ -399,12 +398,7 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
     def examples(self, patterns: Sequence[Arrays], *, device: torch.device, workers: int = 0) -> StitchExamples:
         """The graphs of patterns, given as arrays, and of their variants."""
         jobs = [(number, arrays, self.net.config.foreign > 0) for number, arrays in enumerate(patterns)]
-        if workers > 1:
-            with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-                found = list(pool.map(_variants, jobs, chunksize=32))
-        else:
-            found = [_variants(job) for job in jobs]
-        graphs = [graph for variants in found for graph in variants]
+        graphs = [graph for variants in parallel_map(_variants, jobs, workers) for graph in variants]
         return StitchExamples(PackedGraphs.of(graphs).to(device), tuple(patterns), self.net.config)
 
     def of_one_shape(self, examples: Examples[StitchBatch]) -> StitchExamples:

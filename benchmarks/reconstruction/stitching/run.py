@@ -14,15 +14,14 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, astuple, fields, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import torch
 
+from benchmarks.reconstruction.judging import means_of
 from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner, build
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.merging import Merged, merged
@@ -41,6 +40,7 @@ from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.records import Pattern
 from gcd_dataset.spec import read_pattern, write_pattern
+from gcd_dataset.workers import parallel_map
 
 Score = TypeVar("Score", StitchScore, IntervalScore)
 
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> None:
     def check(step: int, current: Any) -> Mapping[str, float]:
         some = watched[:WATCHED]
         scores = [_score(true, own) for true, own in zip(some, sew(current.net, some), strict=True)]
-        return {f"check_{name}": value for name, value in _means(scores).items()}
+        return {f"check_{name}": value for name, value in means_of(scores).items()}
 
     trained, _ = trained_by(options, learner, split, device, check=check, begun=began)
     best = trained.learner
@@ -200,24 +200,19 @@ def evaluate(
     write(out / "several" / "predictions", parted)
     write(out / "several" / "truth", [entry.parts for entry in joined])
     pairs = [list(zip(patterns, answers, strict=True)) for answers in (ours, at_once, greedy)]
-    if workers > 1:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            scores, first, floor = (list(pool.map(_scored, some, chunksize=16)) for some in pairs)
-            several = list(pool.map(_interval_scored, zip(joined, parted, strict=True), chunksize=16))
-    else:
-        scores, first, floor = ([_scored(pair) for pair in some] for some in pairs)
-        several = [_interval_scored(pair) for pair in zip(joined, parted, strict=True)]
+    scores, first, floor = (list(parallel_map(_scored, some, workers)) for some in pairs)
+    several = list(parallel_map(_interval_scored, zip(joined, parted, strict=True), workers))
     several_of = {entry.parts.name: score for entry, score in zip(joined, several, strict=True)}
     return {
         "one_to_one": _table(scores),
-        "scores_of_kinds": {kind: _means(own) for kind, own in _by_kind(kinds, scores).items()},
+        "scores_of_kinds": {kind: means_of(own) for kind, own in _by_kind(kinds, scores).items()},
         "several_of_kinds": {
-            kind: {"garments": len(own), **_means(own)}
+            kind: {"garments": len(own), **means_of(own)}
             for kind, own in _by_kind(kinds, [several_of.get(pattern.name) for pattern in patterns]).items()
         },
         "one_round": _table(first),
         "faultless_by_shape": _table([_moved_truth(pattern, rng) for pattern in patterns]),
-        "greedy_by_length": _means(floor),
+        "greedy_by_length": means_of(floor),
         "several": _table(several),
         "subdivision": asdict(way),
         "ms_a_pattern": 1e3 * seconds / len(patterns),
@@ -277,11 +272,6 @@ def _by_kind(kinds: Sequence[str], scores: Sequence[Score | None]) -> dict[str, 
         if score is not None:
             found.setdefault(kind, []).append(score)
     return found
-
-
-def _means(scores: Sequence[Score]) -> dict[str, float]:
-    means = np.mean([astuple(score) for score in scores], axis=0).tolist()
-    return dict(zip((field.name for field in fields(scores[0])), means, strict=True))
 
 
 def _table(scores: Sequence[Score]) -> dict[str, Any]:
