@@ -8,7 +8,6 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import cast
 
 import torch
@@ -17,17 +16,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
-from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from, scaled_points
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, encoded_by
+from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_by, patterns_from, scaled_points
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
-from gcd_dataset.workers import parallel_map
 
 FREQUENCIES = 8  # octaves of the positional encoding
 REGION_SCALE = 10.0  # scales offsets within a region to about 1
 OF_EDGES = ("edge_panels", "edge_slots", "edge_kinds", "edge_labels", "partners", "turned")
-CHUNK = 64  # garments that a process encodes at once
-TOGETHER = 8  # garments that a process draws at once
 ROOM = 32  # edges: a batch has room for a multiple of this number
 
 
@@ -76,9 +72,7 @@ class PointLearner(Learner[PanelTargets, Pattern]):
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrawnPoints":
         """Targets of the garments. Raises ``ConfigError`` for garments of fewer points than tokens."""
         require_tokens(self.config, self.points, garments.points.shape[1])
-        bare = garments.without_points()
-        parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
-        targets = PanelTargets.join(list(parallel_map(self.encoder(), parts, workers)))
+        targets = encoded_by(self.encoder(), garments.without_points(), workers)
         edges = (targets.edge_panels >= 0).sum(dim=1)
         points = scaled_points(garments.points[:, : self.stored_points], device)
         whole = replace(targets.to(device), points=points)
@@ -97,10 +91,7 @@ class PointLearner(Learner[PanelTargets, Pattern]):
     def answers(
         self, examples: Examples[PanelTargets], count: int, *, batch: int, workers: int = 0
     ) -> Iterator[Pattern]:
-        rows = torch.split(torch.arange(count), batch)
-        said = PanelTargets.join([self._predicted(examples.batch(part)).to(torch.device("cpu")) for part in rows])
-        parts = (said[k : k + TOGETHER] for k in range(0, count, TOGETHER))
-        return chain.from_iterable(parallel_map(patterns_from, parts, workers))
+        return patterns_by(self._predicted, examples, count, batch=batch, workers=workers)
 
     def _predicted(self, batch: PanelTargets) -> PanelTargets:
         with torch.no_grad():
