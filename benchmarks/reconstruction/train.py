@@ -110,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of a run, besides the model."""
 
     def option(name: str, default: Any, text: str) -> None:
-        parser.add_argument(name, type=type(default), default=default, help=f"{text} ({default})")
+        parser.add_argument(name, type=type(default), default=default, help=f"{text} (%(default)s)")
 
     option("--task", "T0", f"one of {', '.join(TASKS)}")
     option("--train", 0, f"garments to train on; 0: {TRAINED}, or {SMOKE['train']} with --smoke")

@@ -3,7 +3,8 @@
     python -m benchmarks.reconstruction.stitching.run --train 24000 --workers 16 --out runs/stitches
     python -m benchmarks.reconstruction.stitching.run --smoke --out runs/smoke
 
-The patterns are those of ``tasks``: training and test set share no design and no body. ``--data`` keeps them.
+Options are those of ``train``; without ``--steps`` and ``--minutes`` it trains for 6 minutes, and without ``--data`` the
+patterns are kept in the output folder. They are those of ``tasks``: training and test set share no design and no body.
 With ``--leave-out`` the test patterns are of that kind of garment, and none of the training patterns.
 ``report.json`` holds three tables: one to one (subdivided as drawn), n to m (edges joined wherever possible, scored on
 the seams of the parts) and, with ``--examples``, the specifications of a folder.
@@ -143,6 +144,8 @@ def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> 
 
 def options_of(args: argparse.Namespace) -> Options:
     """The options of the training and of the network. Raises ``ConfigError`` for unusable options."""
+    if args.task != "T3":
+        raise ConfigError(f"--task {args.task}: leave it out, these are stitches of T3")
     changes = {"smoke": False, "minutes": args.minutes or (0.0 if args.steps else MINUTES)}
     changes["data"] = args.data or str(Path(args.out) / "data")
     options = options_from(argparse.Namespace(**{**vars(args), **changes}), "stitches")
