@@ -3,7 +3,7 @@
     python -m benchmarks.reconstruction.stitching.run --train 24000 --workers 16 --out runs/stitches
     python -m benchmarks.reconstruction.stitching.run --smoke --out runs/smoke
 
-Options are those of ``train``; without ``--steps`` and ``--minutes`` it trains for 6 minutes, and without ``--data`` the
+Options are those of ``train``. Without ``--steps`` and ``--minutes`` it trains for 6 minutes; without ``--data`` the
 patterns are kept in the output folder. They are those of ``tasks``: training and test set share no design and no body.
 With ``--leave-out`` the test patterns are of that kind of garment, and none of the training patterns.
 ``report.json`` holds three tables: one to one (subdivided as drawn), n to m (edges joined wherever possible, scored on
