@@ -281,7 +281,11 @@ ARRAYS = {name: standardised(garment())[name] for name in ("outlines", "rotation
             "belt: outlines have shape (1288,), not (p",
         ),
         ("neuraltailor", {"outlines": ARRAYS["outlines"] * 1j}, "cannot be read (complex numbers): save plain arrays"),
-        ("garmentdiffusion", {"edges": garmentdiffusion.encode(garment())}, "published no scaling of its numbers"),
+        (
+            "garmentdiffusion",
+            {"edges": garmentdiffusion.encode(garment())},
+            "belt: GarmentDiffusion published no scaling",
+        ),
         ("aipparel", {}, "aipparel has no arrays: give a JSON file"),
     ],
 )
