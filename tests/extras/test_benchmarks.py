@@ -116,7 +116,7 @@ def test_pictures_of_this_process_are_those_of_the_workers(monkeypatch: pytest.M
 
 def test_a_network_learns_from_plain_pictures(tmp_path: Path) -> None:
     folder = stored_garments(tmp_path)
-    args = options(folder, steps=40)
+    args = options(folder, steps=40, size=32)
     data = load(folder, args)
     with pool_of(Input.PLAIN, data, args) as pool:
         losses = [row["loss"] for row in train_on_pictures(pool, data, args.steps, args)[1]]
