@@ -172,14 +172,15 @@ def changed(pattern: Pattern, **values: object) -> Pattern:
     return replace(pattern, panels=(panel, *pattern.panels[1:]))
 
 
-def parity_figures(folder: Path, expect: Path | None = None) -> dict[str, float]:
-    measured = parity.run(argparse.Namespace(folder=folder, only="", expect=expect))
+def parity_figures(folder: Path, expect: Path | None = None, *, only: str = "") -> dict[str, float]:
+    measured = parity.run(argparse.Namespace(folder=folder, only=only, expect=expect))
     return {figure.metric: figure.value for figure in measured.figures}
 
 
 def test_our_patterns_agree_with_the_reference(examples: Path) -> None:
-    figures = parity_figures(examples / "patterns")
-    assert figures["designs"] == 24
+    """Those of two designs; of all 24 in tests/extras."""
+    figures = parity_figures(examples / "patterns", only="shirt_sleeves_hood")
+    assert figures["designs"] == 2
     assert figures["same"] == figures["outline"] == figures["placement"] == 1.0
 
 

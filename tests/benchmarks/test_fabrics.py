@@ -27,7 +27,7 @@ def test_layers_count_once_in_a_shadow() -> None:
     mesh = disc(1.0)
     folded = np.array(mesh.vertices)
     folded[:, 0] = np.abs(folded[:, 0])
-    assert shadow(folded, mesh) == pytest.approx(np.pi * SPECIMEN**2 / 2, rel=0.02)
+    assert shadow(folded, mesh) == pytest.approx(np.pi * SPECIMEN**2 / 2, rel=0.04)
 
 
 def test_a_wavy_rim_has_as_many_folds_as_waves() -> None:

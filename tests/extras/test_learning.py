@@ -1,6 +1,7 @@
 """Every network learns, several processes make what one makes, and slow figures of single cases: a minute."""
 
 import json
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,11 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch._subclasses.fake_tensor import FakeTensorMode
 
+from benchmarks.cases import parity
 from benchmarks.cloth_tests import drape_coefficient
+from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.evaluate import main as evaluate
 from benchmarks.reconstruction.garments import GarmentSet, generated
-from benchmarks.reconstruction.models import load_model
+from benchmarks.reconstruction.models import load_model, panel_set
 from benchmarks.reconstruction.picture_inputs import Input, rendering
 from benchmarks.reconstruction.tasks import NAMED
 from benchmarks.reconstruction.training import TrainConfig, train
@@ -20,8 +24,10 @@ from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.drape import Fabric
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.tensors import PANEL_LABELS
 from tests.benchmarks.reconstruction.conftest import SKIRTS
 from tests.benchmarks.reconstruction.test_evaluate import figures, save
+from tests.benchmarks.reconstruction.test_networks import SIZES, network
 from tests.benchmarks.test_pictures_matter import stored_garments
 
 CPU = torch.device("cpu")
@@ -51,6 +57,28 @@ def test_the_loss_falls(model: str, options: dict[str, int], skirts: GarmentSet)
     config = TrainConfig(steps=30, batch=6, lr=4e-3, log_every=5, weight_decay=0.0)
     curve = train(learner, learner.prepare(skirts, device=CPU), config, device=CPU).curve
     assert curve[-1]["loss"] < 0.9 * curve[0]["loss"]
+
+
+@pytest.mark.parametrize("model", SIZES)
+def test_a_step_reads_no_value_of_the_device(model: str, skirts: GarmentSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reading one would wait for a GPU; fake tensors have no values, and no memory for Warp."""
+    learner = network(model)
+    batch = learner.prepare(skirts, device=CPU).batch(torch.arange(2))
+    monkeypatch.setattr(panel_set, "least_cost", lambda cost, asked: torch.zeros(asked.shape, dtype=torch.int64))
+    with FakeTensorMode(allow_non_fake_inputs=True):
+        assert all(part.shape == () for part in learner.loss(batch).values())
+
+
+def test_garments_are_seen_in_drawn_pictures() -> None:
+    one = generated(1, 0, points=0, extra=("pictures", "shown"), resolution=8.0, design=SKIRTS)
+    pictures, shown = one.ragged["pictures"][0], one.ragged["shown"][0]
+    panels = (shown[shown >= FIRST_PANEL] - FIRST_PANEL) // len(PANEL_LABELS)
+    assert shown.shape == pictures.shape[:-1]
+    assert set(panels.tolist()) == set(range(len(one.pattern(0).panels)))
+    assert pictures.shape == (PICTURES, PICTURE_SIZE, PICTURE_SIZE, 3)
+    assert pictures.dtype == np.uint8
+    assert all(picture.std() > 5 for picture in pictures)
+    assert not np.array_equal(pictures[0], pictures[1])
 
 
 @pytest.mark.parametrize("model", ["panel_set", "picture_set"])
@@ -104,3 +132,10 @@ def test_several_processes_score_alike_and_the_headline_counts_right_drapes_of_a
     rows = {row["name"]: row for row in json.loads(json_file.read_text())["garments"]}
     assert rows["a"]["redrape_cd_cm"] == pytest.approx(0, abs=1e-6)
     assert rows["b"]["redrape_cd_cm"] < rows["c"]["redrape_cd_cm"] == 100
+
+
+def test_all_patterns_agree_with_the_reference(examples: Path) -> None:
+    measured = parity.run(Namespace(folder=examples / "patterns", only="", expect=None))
+    found = {figure.metric: figure.value for figure in measured.figures}
+    assert found["designs"] == 24
+    assert found["same"] == found["outline"] == found["placement"] == 1.0

@@ -9,13 +9,12 @@ import pytest
 import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor, nn
-from torch._subclasses.fake_tensor import FakeTensorMode
 
 from benchmarks.reconstruction.assignment import least_cost
 from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
 from benchmarks.reconstruction.learners import Learner
-from benchmarks.reconstruction.models import MODELS, load_model, panel_set
+from benchmarks.reconstruction.models import MODELS, load_model
 from benchmarks.reconstruction.point_net import DecoderLayer, EncoderLayer, hiding
 from benchmarks.reconstruction.stitching.run import main as stitching
 from benchmarks.reconstruction.training import TrainConfig, train
@@ -118,17 +117,11 @@ def loss_of(learner: Learner[Any, Any], batch: Any) -> float:
 
 
 @pytest.mark.parametrize("model", SIZES)
-def test_every_trained_parameter_has_a_gradient_and_no_value_is_read(
-    model: str, pictured: GarmentSet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A step that reads a value of a tensor would wait for a GPU; fake tensors have none, and no memory for Warp."""
+def test_every_trained_parameter_has_a_gradient(model: str, pictured: GarmentSet) -> None:
     learner = network(model)
     batch = learner.prepare(pictured, device=CPU).batch(torch.arange(2))
     torch.autograd.backward(torch.stack(list(learner.loss(batch).values())).sum())
     assert [name for name, p in learner.named_parameters() if p.requires_grad and p.grad is None] == []
-    monkeypatch.setattr(panel_set, "least_cost", lambda cost, asked: torch.zeros(asked.shape, dtype=torch.int64))
-    with FakeTensorMode(allow_non_fake_inputs=True):
-        assert all(part.shape == () for part in learner.loss(batch).values())
 
 
 @pytest.mark.parametrize("model", ["panel_set", "edge_tokens"])

@@ -95,9 +95,9 @@ def neutral() -> dict[str, float]:
 
 def test_answers_before_training_exist_and_do_not_depend_on_their_batch(six: GarmentSet) -> None:
     network = learner().eval()
-    examples = network.prepare(six, device=CPU)
-    whole, alone = (list(network.answers(examples, 6, batch=size)) for size in (6, 1))
-    assert len(whole) == 6
+    examples = network.prepare(six.select([0, 1]), device=CPU)
+    whole, alone = (list(network.answers(examples, 2, batch=size)) for size in (2, 1))
+    assert len(whole) == 2
     assert all(score_pattern(one, other).iou > 0.99 for one, other in zip(whole, alone, strict=True))
 
 

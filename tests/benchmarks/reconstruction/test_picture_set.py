@@ -10,13 +10,11 @@ import torch
 from benchmarks.reconstruction import picture_model
 from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.design_codes import PARAMETERS, encode_design
-from benchmarks.reconstruction.garments import GarmentSet, Ragged, generated
+from benchmarks.reconstruction.garments import GarmentSet, Ragged
 from benchmarks.reconstruction.models import load_model
 from benchmarks.reconstruction.picture_model import MOST_GROWTH, MOST_SHIFT, MOST_TURN, STRIDE, PictureTokens, distorted
 from benchmarks.reconstruction.point_net import EncoderConfig
 from gcd_dataset.records import BodyPart
-from gcd_dataset.tensors import PANEL_LABELS
-from tests.benchmarks.reconstruction.conftest import SKIRTS
 
 CPU = torch.device("cpu")
 PATHS = [leaf.path for leaf in PARAMETERS]
@@ -133,15 +131,3 @@ def test_losses_of_seen_cells_are_those_of_their_pixels() -> None:
     for name, loss in seen.items():
         assert loss.item() == pytest.approx(sum(one[name].item() for one in chosen) / 5, rel=1e-4)
         assert loss.item() != pytest.approx(every[name].item(), rel=1e-4)
-
-
-def test_garments_are_seen_in_drawn_pictures() -> None:
-    one = generated(1, 0, points=0, extra=("pictures", "shown"), resolution=8.0, design=SKIRTS)
-    pictures, shown = one.ragged["pictures"][0], one.ragged["shown"][0]
-    panels = (shown[shown >= FIRST_PANEL] - FIRST_PANEL) // len(PANEL_LABELS)
-    assert shown.shape == pictures.shape[:-1]
-    assert set(panels.tolist()) == set(range(len(one.pattern(0).panels)))
-    assert pictures.shape == (PICTURES, PICTURE_SIZE, PICTURE_SIZE, 3)
-    assert pictures.dtype == np.uint8
-    assert all(picture.std() > 5 for picture in pictures)
-    assert not np.array_equal(pictures[0], pictures[1])
