@@ -89,6 +89,7 @@ def run(args: argparse.Namespace) -> None:
     if options.make_only:
         print(f"{len(split.train)} patterns to train on, {len(split.test)} to test on")
         return
+    torch.manual_seed(options.config.seed)
     learner = build(smoke=False, options=options.sizes)
     tests, watched = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
 
