@@ -72,10 +72,6 @@ def _parsed(given: Sequence[str]) -> tuple[str, argparse.Namespace]:
     return name, parser.parse_args(given[1:])
 
 
-if __name__ == "__main__":
-    sys.exit(main())
-
-
 # --------------------------------------------------------------------------------------------------------------- report
 
 
@@ -140,3 +136,7 @@ def _hardware() -> str:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     cpu = f"{cores} CPU cores, {torch.get_num_threads()} threads of torch ({platform.machine()})"
     return ", ".join([cpu, *gpus])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
