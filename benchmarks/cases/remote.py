@@ -197,10 +197,8 @@ class _Counting:
         return self._answer(request, begin)
 
 
-from werkzeug.serving import run_simple
-
-    run_simple("127.0.0.1", int(sys.argv[1]), _Counting(DomainDispatcherApplication(create_backend_app)), threaded=True)
-
-
 if __name__ == "__main__":
     from moto.moto_server.werkzeug_app import DomainDispatcherApplication, create_backend_app
+    from werkzeug.serving import run_simple
+
+    run_simple("127.0.0.1", int(sys.argv[1]), _Counting(DomainDispatcherApplication(create_backend_app)), threaded=True)
