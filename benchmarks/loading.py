@@ -137,12 +137,51 @@ def write_streaming(folder: Path, fields: Sequence[str]) -> Path:
     return copy
 
 
+def by_ninja(folder: Path, fields: Sequence[str]) -> Batches:
+    """``mmap_ninja``: a ``RaggedMmap`` a field."""
+    from mmap_ninja import RaggedMmap
+
+    copy = _copy(folder, "ninja", fields)
+    for field in fields:
+        if not (copy / field).exists():
+            RaggedMmap.from_lists(copy / field, _values(folder, field))
+    maps = {field: RaggedMmap(copy / field) for field in fields}
+    return lambda indices: pack({field: [maps[field][i] for i in indices] for field in fields})
+
+
+def by_lance(folder: Path, fields: Sequence[str]) -> Batches:
+    """``lance``: a row a garment, a list of numbers a field; ``take`` of the rows."""
+    import lance
+
+    copy = _copy(folder, "lance", fields) / "set.lance"
+    if not copy.exists():
+        lance.write_dataset(_table(folder, fields), copy)
+    dataset, shapes = lance.dataset(copy), _shapes(folder, fields)
+    return lambda indices: pack(_of_table(dataset.take(list(indices)), shapes))
+
+
+def by_arrow(folder: Path, fields: Sequence[str]) -> Batches:
+    """Arrow's IPC file, mapped; ``take`` of the rows."""
+    import pyarrow as pa
+
+    copy = _copy(folder, "arrow", fields) / "set.arrow"
+    if not copy.exists():
+        table = _table(folder, fields)
+        with pa.OSFile(str(copy), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
+            writer.write_table(table)
+    table, shapes = pa.ipc.open_file(pa.memory_map(str(copy))).read_all().combine_chunks(), _shapes(folder, fields)
+    return lambda indices: pack(_of_table(table.take(list(indices)), shapes))
+
+
 LOADERS: Mapping[str, tuple[str, Callable[[Path, Sequence[str]], Batches]]] = {
     "ours": ("torch", ours),
     "GarmentLoader": ("torch", by_garment_loader),
     "memmap": ("numpy", by_memmap),
     "memmap as ndarray": ("numpy", partial(by_memmap, plain=True)),
+    "mmap_ninja": ("mmap_ninja", by_ninja),
     "HDF5": ("h5py", by_hdf5),
+    "Arrow": ("pyarrow", by_arrow),
+    "Lance": ("lance", by_lance),
     "litdata": ("litdata", by_litdata),
     "mosaicml streaming": ("streaming", by_streaming),
     "webdataset": ("webdataset", by_webdataset),
@@ -206,6 +245,27 @@ def _copy(folder: Path, name: str, fields: Sequence[str]) -> Path:
     copy = folder / "copies" / name / "-".join(fields)
     copy.mkdir(parents=True, exist_ok=True)
     return copy
+
+
+def _shapes(folder: Path, fields: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    return {field: _values(folder, field)[0].shape[1:] for field in fields}
+
+
+def _table(folder: Path, fields: Sequence[str]) -> Any:
+    import pyarrow as pa
+
+    return pa.table({field: [value.ravel() for value in _values(folder, field)] for field in fields})
+
+
+def _of_table(table: Any, shapes: Mapping[str, tuple[int, ...]]) -> Rows:
+    columns = {field: table.column(field).combine_chunks() for field in shapes}
+    return {
+        field: [
+            column.values.to_numpy(zero_copy_only=False)[begin:end].reshape(-1, *shapes[field])
+            for begin, end in zip(column.offsets.to_numpy()[:-1], column.offsets.to_numpy()[1:], strict=True)
+        ]
+        for field, column in columns.items()
+    }
 
 
 CONFIGS: Mapping[str, tuple[str, ...]] = {
