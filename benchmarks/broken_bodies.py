@@ -35,6 +35,11 @@ _Mesh = tuple[np.ndarray, np.ndarray]  # vertices [cm], faces
 _Damage = Callable[[Body, np.random.Generator], tuple[_Mesh, Body | None]]
 
 
+def _changed(change: Callable[[Body, np.random.Generator], _Mesh], *, known: bool = True) -> _Damage:
+    """Damage that leaves the body's measures as they are, or, unless ``known``, undefined."""
+    return lambda body, rng: (change(body, rng), body if known else None)
+
+
 def broken_body(kind: str, rng: np.random.Generator) -> BrokenBody:
     """Draw a body and damage it; ``kind``: a key of ``KINDS``."""
     body = build_body(draw_shape(rng, group="pooled"))
@@ -59,103 +64,70 @@ def obj_bytes(vertices: np.ndarray, faces: np.ndarray) -> bytes:
 # ---------------------------------------------------------------------------------------------------------------- skin
 
 
-def _whole(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    return (body.vertices, body.faces), body
+def _without_faces(body: Body, gone: np.ndarray) -> _Mesh:
+    """The body without the faces that have a vertex of ``gone``."""
+    return body.vertices, body.faces[~gone[body.faces].any(axis=1)]
 
 
-def _hole(radius: tuple[float, float]) -> _Damage:
-    def damage(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+def _hole(low: float, high: float) -> _Damage:
+    def hole(body: Body, rng: np.random.Generator) -> _Mesh:
         middle = body.vertices[rng.integers(len(body.vertices))]
-        near = np.linalg.norm(body.vertices - middle, axis=1) < rng.uniform(*radius)
-        return (body.vertices, body.faces[~near[body.faces].any(axis=1)]), body
+        return _without_faces(body, np.linalg.norm(body.vertices - middle, axis=1) < rng.uniform(low, high))
 
-    return damage
-
-
-def _pinholes(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    return (body.vertices, body.faces[rng.random(len(body.faces)) > 0.01]), body
+    return _changed(hole)
 
 
-def _some_flipped(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+def _some_flipped(body: Body, rng: np.random.Generator) -> _Mesh:
     flipped = rng.random(len(body.faces)) < rng.uniform(0.01, 0.5)
-    return (body.vertices, np.where(flipped[:, None], body.faces[:, ::-1], body.faces)), body
+    return body.vertices, np.where(flipped[:, None], body.faces[:, ::-1], body.faces)
 
 
-def _inward(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    return (body.vertices, body.faces[:, ::-1]), body
-
-
-def _unwelded(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    return (body.vertices[body.faces].reshape(-1, 3), np.arange(body.faces.size).reshape(-1, 3)), body
-
-
-def _renumbered(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+def _renumbered(body: Body, rng: np.random.Generator) -> _Mesh:
     order = rng.permutation(len(body.vertices))
-    return (body.vertices[order], np.argsort(order)[body.faces]), body
-
-
-def _noisy(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    return (body.vertices + rng.normal(0.0, 0.05, body.vertices.shape), body.faces), body
+    return body.vertices[order], np.argsort(order)[body.faces]
 
 
 def _not_finite(value: float) -> _Damage:
-    def damage(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    def damage(body: Body, rng: np.random.Generator) -> _Mesh:
         vertices = body.vertices.copy()
         vertices[rng.integers(len(vertices), size=rng.integers(1, 50))] = value
-        return (vertices, body.faces), None
+        return vertices, body.faces
 
-    return damage
+    return _changed(damage, known=False)
 
 
-def _out_of_range(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+def _out_of_range(body: Body, rng: np.random.Generator) -> _Mesh:
     faces = body.faces.copy()
     faces[rng.integers(len(faces))] = len(body.vertices) + 7
-    return (body.vertices, faces), None
+    return body.vertices, faces
 
 
-def _collapsed(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    return (body.vertices * [0.0, 1.0, 0.0], body.faces), None
-
-
-def _spike(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+def _spike(body: Body, rng: np.random.Generator) -> _Mesh:
     vertices = body.vertices.copy()
     vertices[rng.integers(len(vertices))] += rng.uniform(30, 200) * rng.choice([-1, 1]) * np.eye(3)[rng.integers(3)]
-    return (vertices, body.faces), body
+    return vertices, body.faces
 
 
 # ----------------------------------------------------------------------------------------------------- units and turns
 
 
 def _scaled(factor: float, *, known: bool = True) -> _Damage:
-    def damage(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-        return (body.vertices * factor, body.faces), body if known else None
+    return _changed(lambda body, rng: (body.vertices * factor, body.faces), known=known)
+
+
+def _turned(*degrees: float) -> _Damage:
+    turn = Rotation.from_rotvec(np.radians(degrees)).as_matrix()
+    return _changed(lambda body, rng: (body.vertices @ turn.T, body.faces))
+
+
+def _stretched(factors: Callable[[np.random.Generator], np.ndarray]) -> _Damage:
+    """A body of other size, whose measures are its own."""
+
+    def damage(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body]:
+        other = replace(body, vertices=body.vertices * factors(rng))
+        return (other.vertices, other.faces), other
 
     return damage
-
-
-def _turned(*turn: float) -> _Damage:
-    def damage(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-        return (body.vertices @ Rotation.from_rotvec(np.radians(turn)).as_matrix().T, body.faces), body
-
-    return damage
-
-
-def _skewed(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    return _turned(*rng.uniform(-25, 25, size=3))(body, rng)
-
-
-def _moved(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    return (body.vertices + rng.uniform(-500, 500, size=3), body.faces), body
-
-
-def _larger(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    larger = replace(body, vertices=body.vertices * rng.choice([0.6, 0.8, 1.1, 1.4]))
-    return (larger.vertices, larger.faces), larger
-
-
-def _squashed(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    squashed = replace(body, vertices=body.vertices * np.exp(rng.uniform(-0.5, 0.5, size=3)))
-    return (squashed.vertices, squashed.faces), squashed
 
 
 # ------------------------------------------------------------------------------------------------- too much, too little
@@ -167,65 +139,58 @@ def _joined(*meshes: _Mesh) -> _Mesh:
     return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(faces)
 
 
-def _with(shape: trimesh.Trimesh) -> _Mesh:
+def _mesh_of(shape: trimesh.Trimesh) -> _Mesh:
     return np.asarray(shape.vertices, float), np.asarray(shape.faces, int)
 
 
-def _two_bodies(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+def _two_bodies(body: Body, rng: np.random.Generator) -> _Mesh:
     beside = body.vertices + [rng.choice([-1, 1]) * rng.uniform(20, 90), 0.0, rng.uniform(-20, 20)]
-    return _joined((body.vertices, body.faces), (beside, body.faces)), body
+    return _joined((body.vertices, body.faces), (beside, body.faces))
 
 
-def _floor(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+def _floor(body: Body, rng: np.random.Generator) -> _Mesh:
     floor = trimesh.creation.box((rng.uniform(60, 200), 2.0, rng.uniform(60, 200)))
     floor.apply_translation([0.0, -1.0, 0.0])
-    return _joined((body.vertices, body.faces), _with(floor)), body
+    return _joined((body.vertices, body.faces), _mesh_of(floor))
 
 
-def _scrap(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+def _scrap(body: Body, rng: np.random.Generator) -> _Mesh:
     ball = trimesh.creation.icosphere(subdivisions=2, radius=rng.uniform(0.5, 12.0))
     ball.apply_translation(rng.uniform([-60, 5, -40], [60, 190, 40]))
-    return _joined((body.vertices, body.faces), _with(ball)), body
+    return _joined((body.vertices, body.faces), _mesh_of(ball))
 
 
 def _without(*parts: BodyPart) -> _Damage:
-    def damage(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-        gone = np.isin(body.parts, [part.value for part in parts])
-        return (body.vertices, body.faces[~gone[body.faces].any(axis=1)]), body
-
-    return damage
+    values = [part.value for part in parts]
+    return _changed(lambda body, rng: _without_faces(body, np.isin(body.parts, values)))
 
 
-def _upper_half(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    below = body.vertices[:, 1] < rng.uniform(0.2, 0.6) * np.ptp(body.vertices[:, 1])
-    return (body.vertices, body.faces[~below[body.faces].any(axis=1)]), body
+def _upper_half(body: Body, rng: np.random.Generator) -> _Mesh:
+    height = body.vertices[:, 1]
+    return _without_faces(body, height < rng.uniform(0.2, 0.6) * np.ptp(height))
 
 
-def _twelve_vertices(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    vertices, faces = _with(trimesh.creation.icosahedron())
-    return (vertices * [20.0, 85.0, 12.0], faces), None
+def _twelve_vertices(body: Body, rng: np.random.Generator) -> _Mesh:
+    vertices, faces = _mesh_of(trimesh.creation.icosahedron())
+    return vertices * [20.0, 85.0, 12.0], faces
 
 
-def _no_body(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+def _no_body(body: Body, rng: np.random.Generator) -> _Mesh:
     shapes = (
         trimesh.creation.icosphere(subdivisions=4, radius=85.0),
         trimesh.creation.box((50.0, 170.0, 30.0)).subdivide().subdivide().subdivide().subdivide(),
         trimesh.creation.cylinder(20.0, 170.0, sections=1000),
         trimesh.creation.torus(60.0, 20.0),
     )
-    return _with(shapes[rng.integers(len(shapes))]), None
+    return _mesh_of(shapes[rng.integers(len(shapes))])
 
 
 # ------------------------------------------------------------------------------------------------------ grown together
 
 
-def _arms_down(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+def _arms_down(body: Body, rng: np.random.Generator) -> _Mesh:
     shape = replace(draw_shape(rng, group="pooled"), arm_angle=-np.radians(rng.uniform(32, 42)))
-    return fused_by_scanner(build_body(shape), rng.uniform(1.2, 2.0)), None
-
-
-def _fused(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    return fused_by_scanner(body, rng.uniform(0.6, 0.8)), body
+    return fused_by_scanner(build_body(shape), rng.uniform(1.2, 2.0))
 
 
 def fused_by_scanner(body: Body, cell: float) -> _Mesh:
@@ -293,20 +258,22 @@ def _filled(body: Body, low: np.ndarray, shape: np.ndarray, cell: float) -> np.n
 
 
 KINDS: Mapping[str, _Damage] = {
-    "whole": _whole,
-    "pinholes": _pinholes,
-    "small hole": _hole((1.0, 3.0)),
-    "large hole": _hole((4.0, 15.0)),
-    "some faces flipped": _some_flipped,
-    "faces inward": _inward,
-    "unwelded": _unwelded,
-    "renumbered": _renumbered,
-    "noisy": _noisy,
+    "whole": _changed(lambda body, rng: (body.vertices, body.faces)),
+    "pinholes": _changed(lambda body, rng: (body.vertices, body.faces[rng.random(len(body.faces)) > 0.01])),
+    "small hole": _hole(1.0, 3.0),
+    "large hole": _hole(4.0, 15.0),
+    "some faces flipped": _changed(_some_flipped),
+    "faces inward": _changed(lambda body, rng: (body.vertices, body.faces[:, ::-1])),
+    "unwelded": _changed(
+        lambda body, rng: (body.vertices[body.faces].reshape(-1, 3), np.arange(body.faces.size).reshape(-1, 3))
+    ),
+    "renumbered": _changed(_renumbered),
+    "noisy": _changed(lambda body, rng: (body.vertices + rng.normal(0.0, 0.05, body.vertices.shape), body.faces)),
     "not a number": _not_finite(np.nan),
     "infinite": _not_finite(np.inf),
-    "face out of range": _out_of_range,
-    "collapsed": _collapsed,
-    "spike": _spike,
+    "face out of range": _changed(_out_of_range, known=False),
+    "collapsed": _changed(lambda body, rng: (body.vertices * [0.0, 1.0, 0.0], body.faces), known=False),
+    "spike": _changed(_spike),
     "metres": _scaled(0.01),
     "millimetres": _scaled(10.0),
     "inches": _scaled(1 / 2.54, known=False),
@@ -317,24 +284,24 @@ KINDS: Mapping[str, _Damage] = {
     "upside down": _turned(0, 0, 180),
     "facing away": _turned(0, 180, 0),
     "facing aside": _turned(0, 90, 0),
-    "skewed": _skewed,
-    "moved": _moved,
-    "larger": _larger,
-    "squashed": _squashed,
-    "two bodies": _two_bodies,
-    "on a floor": _floor,
-    "with a scrap": _scrap,
+    "skewed": lambda body, rng: _turned(*rng.uniform(-25, 25, size=3))(body, rng),
+    "moved": _changed(lambda body, rng: (body.vertices + rng.uniform(-500, 500, size=3), body.faces)),
+    "larger": _stretched(lambda rng: rng.choice([0.6, 0.8, 1.1, 1.4])),
+    "squashed": _stretched(lambda rng: np.exp(rng.uniform(-0.5, 0.5, size=3))),
+    "two bodies": _changed(_two_bodies),
+    "on a floor": _changed(_floor),
+    "with a scrap": _changed(_scrap),
     "no head": _without(BodyPart.HEAD, BodyPart.INTERNAL),
     "no arm": _without(BodyPart.RIGHT_ARM),
     "no leg": _without(BodyPart.LEFT_LEG),
     "no hands": _without(BodyPart.HANDS),
     "no feet": _without(BodyPart.FEET),
-    "upper half": _upper_half,
-    "twelve vertices": _twelve_vertices,
-    "no body": _no_body,
-    "arms grown to the trunk": _arms_down,
-    "fused": _fused,
-    "empty file": _whole,
-    "truncated file": _hole((0.0, 0.0)),
+    "upper half": _changed(_upper_half),
+    "twelve vertices": _changed(_twelve_vertices, known=False),
+    "no body": _changed(_no_body, known=False),
+    "arms grown to the trunk": _changed(_arms_down, known=False),
+    "fused": _changed(lambda body, rng: fused_by_scanner(body, rng.uniform(0.6, 0.8))),
+    "empty file": _changed(lambda body, rng: (body.vertices, body.faces)),
+    "truncated file": _hole(0.0, 0.0),
 }
 """Kind of damage to the function that applies it."""

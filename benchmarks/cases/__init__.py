@@ -1,12 +1,54 @@
-"""The benchmark cases by name; each is a module of the form ``figures.Case``, imported on use."""
+"""The benchmark cases by name, each a module of the form ``CaseModule``, imported on use; their result types."""
 
-from collections.abc import Mapping
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib import import_module
-from typing import cast
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, cast
 
-from benchmarks.cases.figures import Case
 
-__all__ = ["CASES", "load_case"]
+class Figure(NamedTuple):
+    """One measured number, printed as ``case.metric value unit``."""
+
+    metric: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """The figures of a run, and the table behind them."""
+
+    figures: Sequence[Figure]
+    rows: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
+    """Rows of the report's table; all have the same keys."""
+    refused: Sequence[tuple[str, str]] = ()
+    """Name and reason of each input that could not be measured; the others were."""
+
+
+class CaseModule(Protocol):
+    """The interface of a case module."""
+
+    __doc__: str | None
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the options of the case."""
+
+    def run(self, options: argparse.Namespace) -> CaseResult:
+        """Run the benchmark."""
+
+
+def jpeg_file(text: str) -> Path:
+    """The path of a JPEG file. Raises ``ArgumentTypeError`` for the name of another format."""
+    path = Path(text)
+    if path.suffix.lower() not in (".jpg", ".jpeg"):
+        raise argparse.ArgumentTypeError(f"{text}: the picture is a JPEG, so end the name in .jpg")
+    return path
+
+
+# -------------------------------------------------------------------------------------------------------------   init
+
 
 CASES: Mapping[str, str] = {
     "bodies": "benchmarks.cases.bodies",
@@ -28,6 +70,6 @@ CASES: Mapping[str, str] = {
 """Case to its module, imported on use: each has heavy dependencies of its own."""
 
 
-def load_case(name: str) -> Case:
+def load_case(name: str) -> CaseModule:
     """The module of a case in ``CASES``."""
-    return cast(Case, import_module(CASES[name]))
+    return cast(CaseModule, import_module(CASES[name]))

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.skin import skin_crossings
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import build_body, measure
@@ -76,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plot", type=Path, help="PNG: histograms over the published distributions")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Draw, build and measure bodies. Raises ``ConfigError`` for too few of them to compare."""
     if options.count < LEAST:
         raise ConfigError(f"count is {options.count}: give {LEAST} or more")
@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> Measured:
     if options.plot:
         _plot({sex: values[sex] for sex in SEXES}, options.plot)
     figures = [*_costs(people), *_pool(people), *_population(values), *_shoulders(people), *_soundness(people)]
-    return Measured(figures, [row for sex in values for row in _rows(sex, values[sex])])
+    return CaseResult(figures, [row for sex in values for row in _rows(sex, values[sex])])
 
 
 def draw(seed: int, number: int) -> DrawnBody:

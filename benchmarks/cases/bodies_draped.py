@@ -17,16 +17,14 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.cases.figures import Figure, Measured
-from benchmarks.draping.failures import write_failures
+from benchmarks.cases import CaseResult, Figure
+from benchmarks.draping.modes import write_failures
 from benchmarks.draping.other_bodies import OTHER_BODIES, OtherBody, dressed, other_body
 from benchmarks.draping.workload import Worn, is_clean
 from benchmarks.skin import skin_crossings
@@ -37,6 +35,7 @@ from gcd_dataset.generator.drape import DrapeConfig, drape_batch, resolve_device
 from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.records import Body, Drape, Outcome
+from gcd_dataset.workers import parallel_map
 
 EXAMPLES = Path("GarmentCode/assets/bodies")
 TILE = 320  # side of a garment's picture on a sheet [pixels]
@@ -61,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--failures", type=Path, help="folder for pictures of the garments that failed, by body")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Drape ``count`` garments on each body. Raises ``ConfigError`` if no body can be built."""
     if options.count < 1:
         raise ConfigError(f"count is {options.count}: give 1 or more")
@@ -69,18 +68,17 @@ def run(options: argparse.Namespace) -> Measured:
     device = resolve_device(options.device)
     figures: list[Figure] = []
     rows: list[dict[str, Any]] = []
-    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        for name, wearer in wearers.items():
-            make = partial(dressed, wearer, name, options.seed, options.resolution)
-            worn = [one for one in pool.map(make, range(options.count)) if one is not None]
-            if not worn:
-                raise ConfigError(f"{name}: none of {options.count} designs was accepted: raise --count")
-            drapes, seconds = _draped(worn, device, options.batch, warm=bool(rows))
-            _write_pictures(options, name, worn, drapes, device)
-            rows.append(_row(name, options.count, worn, drapes, seconds))
-            print(f"benchmarks.run bodies_draped: {rows[-1]}", file=sys.stderr, flush=True)
-            figures += _figures(name, drapes, seconds)
-    return Measured(figures, rows)
+    for name, wearer in wearers.items():
+        make = partial(dressed, wearer, name, options.seed, options.resolution)
+        worn = [one for one in parallel_map(make, range(options.count), options.workers) if one is not None]
+        if not worn:
+            raise ConfigError(f"{name}: none of {options.count} designs was accepted: raise --count")
+        drapes, seconds = _draped(worn, device, options.batch, warm=bool(rows))
+        _write_pictures(options, name, worn, drapes, device)
+        rows.append(_row(name, options.count, worn, drapes, seconds))
+        print(f"benchmarks.run bodies_draped: {rows[-1]}", file=sys.stderr, flush=True)
+        figures += _figures(name, drapes, seconds)
+    return CaseResult(figures, rows)
 
 
 def _wearers(options: argparse.Namespace) -> Mapping[str, OtherBody]:

@@ -44,8 +44,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from benchmarks.cases.figures import Figure, Measured
-from benchmarks.reference_sampler import reference_design, reject_reason
+from benchmarks.cases import CaseResult, Figure
+from benchmarks.draping.workload import reference_design, reject_reason
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
@@ -87,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plot", type=Path, help="PNG with the distributions of all parameters")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Draw with both samplers and compare. Raises ``ConfigError`` for a count below 1."""
     for name in ("count", "reference_count"):
         if getattr(options, name) < 1:
@@ -113,7 +113,7 @@ def run(options: argparse.Namespace) -> Measured:
             if reason
         ),
     ]
-    return Measured(figures, sorted(rows, key=lambda row: str(row["moved"]), reverse=True))
+    return CaseResult(figures, sorted(rows, key=lambda row: str(row["moved"]), reverse=True))
 
 
 # ------------------------------------------------------------------------------------------------------------ samplers
@@ -288,7 +288,7 @@ Bin: TypeAlias = int | str
 
 @dataclass(frozen=True)
 class Shift:
-    """How far selection moves the distribution of a parameter."""
+    """The shift of a parameter's distribution by selection."""
 
     moved: float
     """Total variation between proposed and accepted values, 0 to 1."""

@@ -16,7 +16,7 @@ table lists the garments that did not settle. ``clean``: the share that settled 
 ``grade_clean``: the share that also has no panel stretched too far, see ``generator.quality``. ``--ablation`` drapes
 them once per switched feature. ``--memory`` drapes them in turn in this process and records process and GPU memory
 after every 50. ``--reference-designs``: designs drawn and selected like GarmentCode's, each on the given body, see
-``benchmarks.reference_sampler``. ``--sewn``: crossings at the end of sewing, before gravity. ``--beside cpu``: the
+``benchmarks.draping.workload``. ``--sewn``: crossings at the end of sewing, before gravity. ``--beside cpu``: the
 distance between the drapes of two devices, a noise floor for models that predict drapes. ``--peer newton`` also drapes
 the same meshes with Newton's ``SolverStyle3D``, configured as described in ``benchmarks.peers.newton``.
 """
@@ -32,9 +32,15 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cases.figures import Figure, Measured, jpeg_file
-from benchmarks.draping.failures import write_failures
-from benchmarks.draping.modes import compare_devices, gpu_peak_mb, measure_ablation, measure_memory, measure_sewn
+from benchmarks.cases import CaseResult, Figure, jpeg_file
+from benchmarks.draping.modes import (
+    compare_devices,
+    gpu_peak_mb,
+    measure_ablation,
+    measure_memory,
+    measure_sewn,
+    write_failures,
+)
 from benchmarks.draping.workload import Worn, quality, reference_sampled, sampled
 from benchmarks.peers.compare import compare_solvers
 from benchmarks.peers.newton import require_newton
@@ -82,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pictures", type=Path, help="folder for meshes and pictures")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Drape, and return seconds, outcomes and crossings."""
     if bool(options.spec) == bool(options.count):
         raise ConfigError("give either specification files or --count N")
@@ -105,7 +111,7 @@ def run(options: argparse.Namespace) -> Measured:
             write_fitting(result, options.pictures, device=options.device)
     fittings = [result for result in results if isinstance(result, Fitting)]
     columns = dict.fromkeys((fittings or results)[0].row, "")
-    return Measured(
+    return CaseResult(
         _figures(fittings) if fittings else [],
         [columns | result.row for result in results],
         [(result.name, result.reason) for result in results if isinstance(result, Refusal)],
@@ -114,7 +120,7 @@ def run(options: argparse.Namespace) -> Measured:
 
 def _compared(
     read: Sequence[Pattern | Refusal], bodies: Mapping[bool, tuple[Body, Measurements]], options: argparse.Namespace
-) -> Measured:
+) -> CaseResult:
     """The patterns draped by both solvers, as their files place them."""
     jobs, refused = [], []
     for pattern in read:
@@ -128,7 +134,7 @@ def _compared(
             continue
         jobs.append(DrapeJob(mesh, *bodies[has_legs(pattern)]))
     if not jobs:
-        return Measured([], refused=refused)
+        return CaseResult([], refused=refused)
     compared = compare_solvers(jobs, options.batches, device=resolve_device(options.device))
     return replace(compared, refused=refused)
 
@@ -159,7 +165,7 @@ def _figures(fittings: list[Fitting]) -> list[Figure]:
     ]
 
 
-def _run_sampled(options: argparse.Namespace) -> Measured:
+def _run_sampled(options: argparse.Namespace) -> CaseResult:
     worn = _sampled(options)
     device = resolve_device(options.device)
     drape_batch([worn[0].job], DrapeConfig(max_frames=1), device=device)
@@ -191,7 +197,7 @@ def _run_sampled(options: argparse.Namespace) -> Measured:
         _write_sheet(options.sheet, [(one.job, drape) for one, drape in rows[:64]])
     if options.failures:
         write_failures(options.failures, worn, drapes, device=device)
-    return Measured(figures, _failed(worn, drapes))
+    return CaseResult(figures, _failed(worn, drapes))
 
 
 def _sampled(options: argparse.Namespace) -> list[Worn]:

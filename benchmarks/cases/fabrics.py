@@ -38,9 +38,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from benchmarks.cases.figures import Figure, Measured, jpeg_file
-from benchmarks.drapemeter import drape_coefficient
-from benchmarks.strips import Direction, bending_length, cantilever, tensile_stiffness
+from benchmarks.cases import CaseResult, Figure, jpeg_file
+from benchmarks.cloth_tests import Direction, bending_length, cantilever, drape_coefficient, tensile_stiffness
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
@@ -86,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sheet", type=jpeg_file, help="picture of the skirt in each fabric, side by side")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Run the standard tests of every fabric, and drape the skirt."""
     device = resolve_device(options.device)
     targets = [target for target in read_targets() if target.fabric in options.tests]
@@ -97,7 +96,7 @@ def run(options: argparse.Namespace) -> Measured:
         pictures = [render_garment(drape.vertices, job.box_mesh, job.body, size=TILE)[0] for drape, _ in drapes]
         sheet = contact_sheet([picture[CROP] for picture in pictures], columns=len(pictures))
         write_whole(options.sheet, jpeg_bytes(sheet))
-    return Measured(
+    return CaseResult(
         [
             *_shares(rows, options.spacing),
             *(_uniform(options.spacing, device) if "cotton" in options.tests else ()),
@@ -124,7 +123,7 @@ def _shares(rows: list[dict[str, Any]], spacings: list[float]) -> Iterator[Figur
 
 
 def _uniform(spacings: list[float], device: str) -> Iterator[Figure]:
-    """How far cotton is from its target on discs of uniform mesh."""
+    """Error of cotton's drape coefficient on discs of uniform mesh."""
     for spacing in spacings:
         found = drape_coefficient(
             fabric_named("cotton"), spacing=spacing, specimens=SPECIMENS, edge=spacing, device=device

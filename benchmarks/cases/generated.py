@@ -22,7 +22,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.cases.scale import gpu_idle, own_rate
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.recipe import devices_of
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--replay", type=float, default=8.0, help="uses of each garment by the networks")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Measure the loop, the draper and the networks. Raises ``ConfigError`` for options out of range."""
     if options.seconds <= 0 or min(options.workers, options.warm) < 0 or min(options.batch, options.prepared) < 1:
         raise ConfigError("give --seconds above 0, --workers and --warm of 0 or more, --batch and --prepared of 1")
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> Measured:
         ]
     if options.stage != "pattern" and on_gpu:
         figures += _trained(garments, options, rate, devices[0])
-    return Measured(figures)
+    return CaseResult(figures)
 
 
 def _rate(garments: GeneratedGarments, options: argparse.Namespace) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.loading import BATCH, CONFIGS, installed_loaders, opened, write_large_index, write_shards
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, collate_packed
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=20.0, help="duration for each choice of fields")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Write shards, then time the loaders. Raises ``ConfigError`` for options out of range."""
     if options.count < BATCH or options.seconds <= 0:
         raise ConfigError(f"give --count of {BATCH} or more, and --seconds of more than 0")
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> Measured:
             loaders = installed_loaders(folder, fields)
             spent[config] = cpu_ms_of(loaders, count, BATCH, seconds=options.seconds)
         figures = [*_ratios(spent), *_sizes(folder), *_opening(Path(own) / "large", SAMPLES), *_passes(folder)]
-    return Measured(figures, _rows(spent))
+    return CaseResult(figures, _rows(spent))
 
 
 Spent = dict[str, dict[str, list[float]]]
@@ -165,7 +165,7 @@ def _stream(folder: Path, fields: Sequence[str]) -> None:
 
 
 def _wait(folder: Path) -> list[Figure]:
-    """How long a small network waits for its batches, in the median of several epochs."""
+    """Share of the time that a small network waits for batches: the median of several epochs."""
     network = torch.nn.Sequential(torch.nn.Linear(6, WIDTH), torch.nn.ReLU(), torch.nn.Linear(WIDTH, 1))
     loader, epochs = GarmentLoader(opened(folder, ["points"]), BATCH), []
     for _ in range(TIMES):

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.broken_bodies import KINDS, broken_body
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases import CaseResult, Figure
 from gcd_dataset.bodyfiles import read_measurements
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.body import build_body, draw_shape, measure
@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the drawn bodies (default: 0)")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Measure all bodies. Raises ``ConfigError`` for a folder without bodies."""
     names = sorted(path.stem for path in options.folder.glob("*.obj") if path.with_suffix(".yaml").is_file())
     if not names:
@@ -86,7 +86,7 @@ def run(options: argparse.Namespace) -> Measured:
         Figure("speed", _speed(options.seed), "CPU-ms"),
         *(Figure(f"broken_{outcome}", broken[outcome], "files") for outcome in ("right", "stated", "error", "wrong")),
     ]
-    return Measured(figures, [_row(key, differences, own) for key in MEASURES])
+    return CaseResult(figures, [_row(key, differences, own) for key in MEASURES])
 
 
 def tolerance(key: str) -> float:

@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from benchmarks.cases.figures import Figure, Measured, jpeg_file
+from benchmarks.cases import CaseResult, Figure, jpeg_file
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.faults import Rule, Severity, check_pattern
 from gcd_dataset.files import write_whole
@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sheet", type=jpeg_file, help="JPEG with the first 64 designs, drawn for their random bodies")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Sample designs and count. Raises ``ConfigError`` for ``--count`` below 1."""
     if options.count < 1:
         raise ConfigError(f"count is {options.count}: give 1 or more")
@@ -81,7 +81,7 @@ def run(options: argparse.Namespace) -> Measured:
             shown.append(replace(pattern, name=f"{number}: {design.kind.value}"))
     if shown:
         write_whole(options.sheet, jpeg_bytes(design_sheet(shown, columns=8, size=240)))
-    return Measured([*_costs(drawn, body_seconds), *_shares(drawn)], _reasons(drawn))
+    return CaseResult([*_costs(drawn, body_seconds), *_shares(drawn)], _reasons(drawn))
 
 
 def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> tuple[AcceptedDesign, tuple[Pattern, ...]]:

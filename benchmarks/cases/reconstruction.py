@@ -12,7 +12,7 @@ options.
 import argparse
 from pathlib import Path
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.reconstruction.models import MODELS
 from benchmarks.reconstruction.scoring.table import REPORT, UNITS
 from benchmarks.reconstruction.train import add_arguments as add_training_arguments
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_training_arguments(parser)
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Train or ask each model, and score the answers. Raises ``ConfigError`` for unusable options."""
     figures, rows, out = [], [], Path(options.out)
     options.data = options.data or str(out / "garments")
@@ -48,4 +48,4 @@ def run(options: argparse.Namespace) -> Measured:
         figures += [Figure(f"{model}_{name}", scores[name][0], UNITS.get(name, "share")) for name in scores]
         shown = {name: f"{mean:.3g} ({low:.3g} to {high:.3g})" for name, (mean, low, high) in scores.items()}
         rows.append({"answer": model, **shown})
-    return Measured(figures, rows)
+    return CaseResult(figures, rows)

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.loading import (
     BATCH,
     CONFIGS,
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", type=Path, help="a folder of draped garments to read instead")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Write shards and copies, put them into a store, read them."""
     with tempfile.TemporaryDirectory() as own, store() as files:
         data, cache = Path(own) / "data", Path(own) / "cache"
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> Measured:
                 epoch = read(url_of(files, data), cache / name)
                 rows += [_pass(name, which, epoch, record.count) for which in ("epoch", "again")]
         figures += [Figure("epoch_requests", rows[0]["requests"] / len(record.shards), "a shard")]
-        return Measured(figures, rows)
+        return CaseResult(figures, rows)
 
 
 def _first(url: str, cache: Path, count: int) -> Iterator[Figure]:

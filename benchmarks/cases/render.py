@@ -8,8 +8,6 @@ the share of these that both find lit, or both in shadow.
 
 ``loader_images_per_s`` includes the work of loaders before rendering, which ``images_per_s`` leaves out: body, scene
 and drawn views.
-
-``--peer pyrender`` rasterises the same scenes as described in ``benchmarks.peers.pyrender_egl``.
 """
 
 import argparse
@@ -22,8 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from benchmarks.cases.figures import Figure, Measured, jpeg_file
-from benchmarks.peers.pyrender_egl import compare_with_pyrender, require_pyrender
+from benchmarks.cases import CaseResult, Figure, jpeg_file
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, neutral_shape
@@ -63,19 +60,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--checked", type=int, default=8, help="garments compared with Embree (default: 8; 0: none)")
     parser.add_argument("--preparers", type=int, default=2, help="threads that prepare batches (default: 2)")
-    parser.add_argument("--peer", choices=["pyrender"], help="rasterise the --checked garments with it too")
     parser.add_argument("--sheet", type=jpeg_file, metavar="FILE", help="write a JPEG of 64 pictures")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Make the garments, render them at both sizes, compare some with Embree."""
     if options.count < 2:
         raise ConfigError(f"--count {options.count}: give 2 or more, since the first batch warms up")
     if options.preparers < 1:
         raise ConfigError(f"--preparers {options.preparers}: give 1 or more")
     device = resolve_device(options.device)
-    if options.peer:
-        require_pyrender()
     samples = list(_samples(options, device))
     scenes, views = zip(*(_made(options, index, sample) for index, sample in enumerate(samples)), strict=True)
     figures: list[Figure] = []
@@ -96,13 +90,9 @@ def run(options: argparse.Namespace) -> Measured:
         figures.append(Figure("mask_agreement", worst["mask"], "of pixels, worst picture"))
         figures.append(Figure("shadow_agreement", worst["lit"], "of pixels, worst picture"))
         figures.append(Figure("depth_agreement", worst["depth"], f"within {DEPTH} cm, worst picture"))
-    if options.peer:
-        for size in SIZES:
-            some = scenes[: max(2, options.checked)], views[: max(2, options.checked)]
-            figures += compare_with_pyrender(*some, size=size, device=device)
     if options.sheet is not None:
         write_whole(options.sheet, jpeg_bytes(_sheet(scenes, options.seed, device)))
-    return Measured(figures, rows)
+    return CaseResult(figures, rows)
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers

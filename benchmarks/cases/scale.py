@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases import CaseResult, Figure
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest, SharedDraper, address_for
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--staged", type=int, default=8, help="designs for the CPU seconds of each step")
 
 
-def run(options: argparse.Namespace) -> Measured:
+def run(options: argparse.Namespace) -> CaseResult:
     """Write shards, then measure the draper and each step alone."""
     if options.count < 2:
         raise ConfigError(f"--count is {options.count}: give 2 or more")
@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> Measured:
             if not pictured:
                 figures.append(Figure("share", rate / own / len(devices), "of the drapers' own rate"))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return Measured(
+    return CaseResult(
         [*figures, Figure("memory", memory, "MB, the writing process at its peak"), *_steps(config, options)]
     )
 

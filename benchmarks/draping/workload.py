@@ -1,26 +1,29 @@
 """The garments of a draping benchmark: designs of our sampler, or drawn like GarmentCode's, with their wearers."""
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
-from multiprocessing import get_context
 
 import numpy as np
 
-from benchmarks.cases.figures import Figure
-from benchmarks.reference_sampler import reference_design, reject_reason
+from benchmarks.cases import Figure
+from gcd_dataset.errors import PatternError
+from gcd_dataset.faults import Rule, check_pattern
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob
 from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.garments import draw_garment
 from gcd_dataset.generator.garments.design import GarmentDesign
+from gcd_dataset.generator.garments.rules import LIGHT_LENGTH, LIGHT_SUNS, garment_length, is_flared, is_gathered
+from gcd_dataset.generator.garments.space import DesignSpace, draw
+from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Body, Drape, Measurements, Outcome
 from gcd_dataset.seeding import Stage, rng
+from gcd_dataset.workers import parallel_map
 
 Wearer = tuple[Body, Measurements]
 
@@ -46,9 +49,8 @@ class Worn:
 def sampled(seed: int, designs: int, *, resolution: float, workers: int = 1) -> list[Worn]:
     """Sample ``designs`` designs, each meshed at ``resolution`` [cm] for two wearers, in ``workers`` processes."""
     config = MakeConfig(bodies="both", resolution=resolution, device="cpu")
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        made = pool.map(partial(_dressed, seed, config), range(designs))
-        return [worn for design in made for worn in design]
+    made = parallel_map(partial(_dressed, seed, config), range(designs), workers)
+    return [worn for design in made for worn in design]
 
 
 def reference_sampled(
@@ -58,9 +60,7 @@ def reference_sampled(
 
     ``wearer_apart``: the same body with its legs apart, for trousers.
     """
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        wear = partial(_reference_worn, seed, wearer, wearer_apart, resolution)
-        return list(pool.map(wear, range(designs)))
+    return list(parallel_map(partial(_reference_worn, seed, wearer, wearer_apart, resolution), range(designs), workers))
 
 
 def _reference_worn(seed: int, wearer: Wearer, wearer_apart: Wearer, resolution: float, number: int) -> Worn:
@@ -136,3 +136,51 @@ def pass_paper(drape: Drape) -> bool:
     if drape.outcome is Outcome.THROUGH_BODY and drape.body_through > 0:
         return drape.body_crossings <= LIMITS.max_body_crossings and drape.self_crossings <= LIMITS.max_self_crossings
     return drape.outcome in (Outcome.SETTLED, Outcome.OVERSTRETCHED)
+
+
+# ---------------------------------------------------------------------------------------------------- reference sampler
+
+
+SPACE = DesignSpace.declared(GarmentDesign)
+FLOOR_SLACK = 1.0  # cm by which a garment may be longer than from the neck to the floor
+THIN_BAND = 0.25
+
+
+def reference_design(rng: np.random.Generator) -> GarmentDesign:
+    """A design drawn like GarmentCode's, before any test."""
+    return draw(SPACE, rng)
+
+
+def reject_reason(design: GarmentDesign, sizes: Sequence[Measurements]) -> str:
+    """The first test of GarmentCode's sampler that a design fails; empty if it is accepted."""
+    if design.meta.upper is None and design.meta.bottom is None:
+        return "empty"
+    if _slides(design):
+        return "ruffles on a loose belt"
+    if _is_heavy(design):
+        return "heavy flare"
+    return next((reason for size in sizes if (reason := _unfit(design, size))), "")
+
+
+def _slides(design: GarmentDesign) -> bool:
+    loose = design.meta.wb is None or design.waistband.waist > 1
+    return design.meta.upper is None and is_gathered(design) and design.skirt.ruffle > 1 and loose
+
+
+def _is_heavy(design: GarmentDesign) -> bool:
+    band = design.waistband
+    thin = design.meta.wb is None or band.waist > 1 or band.width <= THIN_BAND
+    levels = design.meta.bottom is Bottom.LEVELS
+    length = design.levels_skirt.length if levels else design.flare_skirt.length
+    heavy = length > LIGHT_LENGTH or design.flare_skirt.suns > LIGHT_SUNS
+    return design.meta.upper is None and is_flared(design) and thin and heavy
+
+
+def _unfit(design: GarmentDesign, size: Measurements) -> str:
+    if garment_length(size, design, frozenset()) > size.height - size.head_l + FLOOR_SLACK:
+        return "too long"
+    try:
+        faults = check_pattern(outfit(size, design, mends=frozenset()))
+    except PatternError:
+        return "cannot be drawn"
+    return "crosses itself" if any(fault.rule is Rule.SELF_CROSSING for fault in faults) else ""

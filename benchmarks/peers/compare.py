@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases import CaseResult, Figure
 from benchmarks.draping.workload import quality
 from benchmarks.peers.newton import PeerDrapes, drape_with_newton
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
@@ -21,7 +21,7 @@ from gcd_dataset.generator.mesh import coarse_start
 from gcd_dataset.records import Drape, Outcome
 
 
-def compare_solvers(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device: str) -> Measured:
+def compare_solvers(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device: str) -> CaseResult:
     """Drape batches of each size with every solver, cycling through the garments; one row per solver and size.
 
     ``ours`` starts from coarse meshes, made in ``setup_s``; ``ours_direct`` has no coarse start. For ``newton``,
@@ -38,7 +38,7 @@ def compare_solvers(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device:
             figures += [
                 Figure(f"{row['solver']}_{part}_batch_{batch}", row[part], "s") for part in ("setup_s", "solve_s")
             ]
-    return Measured(figures, rows)
+    return CaseResult(figures, rows)
 
 
 def _ours(jobs: Sequence[DrapeJob], device: str) -> dict[str, Any]:

@@ -50,7 +50,7 @@ FOLDER, FILE = "folder of train --out", "JSON file of evaluate --json"
 
 
 @dataclass(frozen=True)
-class Scores:
+class ModelScores:
     """The scores of the answers of one model."""
 
     source: Path
@@ -121,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _remarks(first: Scores, second: Scores) -> Iterator[str]:
+def _remarks(first: ModelScores, second: ModelScores) -> Iterator[str]:
     for one, other in ((first, second), (second, first)):
         if alone := [name for name in one.names if name not in other.names]:
             yield f"{', '.join(alone)}: scores of {one.source} alone, not compared"
@@ -130,7 +130,7 @@ def _remarks(first: Scores, second: Scores) -> Iterator[str]:
 # ------------------------------------------------------------------------------------------------------- the two inputs
 
 
-def read_scores(source: Path) -> Scores:
+def read_scores(source: Path) -> ModelScores:
     """The scores in a folder of ``train``, of ``EVALUATION`` if it is there, or in a file of ``evaluate --json``.
 
     Raises ``ConfigError`` for a source without scores of each garment, and for scores that are no finite numbers.
@@ -141,7 +141,7 @@ def read_scores(source: Path) -> Scores:
     settings = _test_set(report, source / REPORT)
     if (source / EVALUATION).is_file():
         garments, of_drapes, _ = _evaluated(source / EVALUATION)
-        return Scores(source, garments, {**settings, **of_drapes})
+        return ModelScores(source, garments, {**settings, **of_drapes})
     path = source / SCORES
     if not path.exists():  # stitching.run writes none
         raise ConfigError(f"{source}: no {SCORES}: give a {FOLDER}, of a task other than T3")
@@ -150,7 +150,7 @@ def read_scores(source: Path) -> Scores:
         rows = [dict(row) for row in csv.DictReader(io.StringIO(text, newline=""), restkey="")]
     except csv.Error as error:
         raise ConfigError(f"{path}: {error}: answer again") from error
-    return Scores(source, _by_garment(path, "key", [_numbered(row) for row in rows]), settings)
+    return ModelScores(source, _by_garment(path, "key", [_numbered(row) for row in rows]), settings)
 
 
 def _test_set(report: Any, path: Path) -> dict[str, Any]:
@@ -165,12 +165,12 @@ def _test_set(report: Any, path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: {error!r}: no report of this version: give a {FOLDER}, or train again") from error
 
 
-def _of_file(path: Path) -> Scores:
+def _of_file(path: Path) -> ModelScores:
     garments, of_drapes, hashes = _evaluated(path)
     if not isinstance(hashes, dict) or "truth" not in hashes:
         raise ConfigError(f"{path}: no hash of the true patterns: evaluate again with this version")
     named = {f"hash of {name}": value for name, value in hashes.items()}
-    return Scores(path, garments, {**named, **of_drapes}, FILE)
+    return ModelScores(path, garments, {**named, **of_drapes}, FILE)
 
 
 def _evaluated(path: Path) -> tuple[dict[str, dict[str, float]], dict[str, Any], Any]:
@@ -241,7 +241,7 @@ def _finite(value: Any, place: str) -> float:
 # ------------------------------------------------------------------------------------------------------ the differences
 
 
-def differences(first: Scores, second: Scores) -> list[Difference]:
+def differences(first: ModelScores, second: ModelScores) -> list[Difference]:
     """The difference of each score that both have; the bootstrap has a fixed seed.
 
     Raises ``ConfigError`` for fewer than ``LEAST_GARMENTS`` garments, for other test garments or settings, and without

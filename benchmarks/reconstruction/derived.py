@@ -96,7 +96,7 @@ def _panel_classes(item: Item) -> np.ndarray:
 
 
 def _point_labels(item: Item, vertices: str) -> np.ndarray:
-    """For each point the panel of the nearest triangle, and edge and seam of the nearest of its corners.
+    """Labels of each point: panel of the nearest triangle; edge label and seam of that triangle's nearest corner.
 
     ``vertices``: field of their positions, which need not be finite: those of a failed drape may not be.
     """
@@ -152,8 +152,6 @@ def _scan(item: Item) -> np.ndarray:
 
 def picture_views(device: str) -> Views:
     """Renders the pictures of items on a device; ``auto`` is a GPU where there is one."""
-    from benchmarks.reconstruction.derived import MAPS
-
     return Views(n=PICTURES, size=PICTURE_SIZE, maps=MAPS, device=device)
 
 
@@ -162,8 +160,6 @@ def _pictures(item: Item) -> np.ndarray:
 
 
 def _shown(item: Item) -> np.ndarray:
-    from benchmarks.reconstruction.derived import MAPS, pixel_labels
-
     labels = item["panels"][:, PanelColumn.LABEL].int().numpy()
     known = np.where(labels < len(PANEL_LABELS), labels, 0)
     return pixel_labels({name: item[f"{name}_map"].numpy() for name in MAPS}, known)
@@ -196,7 +192,7 @@ _HAIR, _BACKGROUND = len(BodyPart), len(BodyPart) + 1
 FIRST_PANEL = len(BodyPart) + 2
 """Label of a pixel of the first panel with ``PANEL_LABELS[0]``; below: body parts, hair, background."""
 SHOWN_CLASSES = FIRST_PANEL + len(PANEL_LABELS)
-"""What a pixel may show: parts of the body, hair, background, and panels by their label."""
+"""Number of classes of a pixel: body parts, hair, background, and panels by label."""
 MOST_PANELS = (256 - FIRST_PANEL) // len(PANEL_LABELS)
 _SIDES = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
 MIRRORED_PIXELS = (

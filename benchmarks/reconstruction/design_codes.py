@@ -97,7 +97,7 @@ def _value(space: Space, code: float) -> Any:
 
 
 def have_effect(design: GarmentDesign) -> Bool[np.ndarray, " d"]:
-    """Which parameters the pattern of a design depends on; a parameter without effect can take any value."""
+    """Mask of the parameters that change the pattern of a design; the others can take any value."""
     found = set(_effective(design))
     return np.array([leaf.path in found for leaf in PARAMETERS])
 

@@ -23,11 +23,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.attention import DecoderLayer
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import TensorExamples, mean_of
 from benchmarks.reconstruction.panel_net import NEVER
+from benchmarks.reconstruction.point_net import DecoderLayer
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.generator.garments import GarmentDesign, design_to_dict, draw_garment
@@ -78,7 +78,7 @@ class Words:
     """Predictions of the decoder."""
 
     outputs: Float[Tensor, "b d o"]
-    """For a choice, logits of its options; for a number, its value as a share of the range and the default's logit."""
+    """Logits of the options of each choice; for each number its share of the range, and the logit of its default."""
     measures: Float[Tensor, "b m"]
     """Body measures, in standard deviations from the mean."""
 

@@ -28,7 +28,7 @@ FAR = 500  # cm: places are sorted within ± FAR
 
 @dataclass(frozen=True)
 class ToCanonical(ToTargets):
-    """From garments to targets in canonical order."""
+    """Encodes garments as targets in canonical order."""
 
     def __call__(self, garments: GarmentSet) -> PanelTargets:
         """See ``ToTargets``."""

@@ -1,4 +1,4 @@
-"""What the encodings of published models lose: each pattern encoded, decoded and scored against itself.
+"""Losses of the encodings of published models: each pattern encoded, decoded and scored against itself.
 
     python -m benchmarks.reconstruction.encoding_losses --count 100 --seed 1 [FILE...]
 

@@ -12,10 +12,7 @@ from typing import Any, Generic, TypeAlias, TypeVar, cast
 from zipfile import BadZipFile
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
-from torch.utils.data import DataLoader
 
 from benchmarks.reconstruction.derived import CENTRE, POINT_LABELS, derived_arrays, item_fields, picture_views
 from gcd_dataset.devicenames import named_devices
@@ -101,7 +98,7 @@ class GarmentSet:
     ragged: Mapping[str, Ragged]
     """``panels``, ``edges``, ``stitches`` of a ``PatternTensor``; further fields such as ``verts`` and ``faces``."""
     recipe: Mapping[str, Any]
-    """Where the garments come from."""
+    """Provenance: seed and recipe, or the folder."""
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -300,11 +297,12 @@ def read_folder(
     held = "drape" if "verts" in fields else "mesh" if "faces" in fields else "pattern"
     if stage not in ("pattern", held):  # points of box meshes and of drapes have one name
         raise ConfigError(f"{source}: garments of stage {held}: give garments made with --stage {stage}")
-    found = GarmentDataset(source, fields=read, dtype=None)
-    return replace(
-        read_garments(found, points=points, extra=extra, workers=workers),
-        recipe={"source": source, "points": points, "fields": sorted(names)},
-    )
+    stream = _Stream(_Packed(points, tuple(extra)), _views_on_gpu(extra, "auto"), workers)
+    found = GarmentDataset(source, fields=read, dtype=None, transform=stream.transform(_itself))
+    parts = [part for _, part in _portions(stream.encoded(found, _itself), 0, len(found))]
+    if not parts:
+        raise ConfigError(f"{found!r}: no garment that settled: give another data set")
+    return replace(GarmentSet.join(parts), recipe={"source": source, "points": points, "fields": sorted(names)})
 
 
 def fresh_garments(
@@ -358,37 +356,6 @@ class _Stream:
             yield from ((int(item["meta"]["index"]), encode(self.pack(item))) for item in shown)
 
 
-def read_garments(garments: Garments, *, points: int, extra: Sequence[str] = (), workers: int = 0) -> GarmentSet:
-    """All garments of a data set that has the fields ``FIELDS``, and ``points``, without those that did not settle.
-
-    Where there is a GPU, this process renders pictures on it.
-    """
-    pack, views = _Packed(points, tuple(extra)), _views_on_gpu(extra, "auto")
-    loader = DataLoader(
-        garments,
-        batch_size=TOGETHER,
-        num_workers=workers,
-        collate_fn=_Joined(pack) if views is None else _settled_arrays,
-        prefetch_factor=4 if workers else None,
-    )
-    found = loader if views is None else map(_Joined(pack), views.batches(filter(None, map(_as_items, loader))))
-    return _joined(found, garments)
-
-
-def _joined(found: Iterable[GarmentSet], garments: Garments) -> GarmentSet:
-    """The sets as one; prints the progress. Raises ``ConfigError`` if no garment of the data set settled."""
-    parts: list[GarmentSet] = []
-    read = 0
-    for part in found:
-        parts.append(part)
-        read += len(part)
-        if read % LOG_EVERY < len(part):
-            print(f"{read} of {len(garments)} garments", file=sys.stderr, flush=True)
-    if not read:
-        raise ConfigError(f"{garments!r}: no garment that settled: give another data set")
-    return GarmentSet.join(parts)
-
-
 def _itself(garments: GarmentSet) -> GarmentSet:
     return garments
 
@@ -407,22 +374,6 @@ def _views_on_gpu(extra: Sequence[str], drapes: str) -> Views | None:
 
 def _is_settled(item: Item) -> bool:
     return (item["meta"].get("drape") or {}).get("outcome", "") in ("", Outcome.SETTLED.name)
-
-
-def _settled_arrays(items: Sequence[Item]) -> list[Item]:
-    """``collate_fn``: settled items, as arrays: sending a tensor to another process takes a file descriptor each."""
-    return [
-        {name: value.numpy() if isinstance(value, Tensor) else value for name, value in item.items()}
-        for item in items
-        if _is_settled(item)
-    ]
-
-
-def _as_items(found: Sequence[Item]) -> list[Item]:
-    return [
-        {name: torch.from_numpy(value) if isinstance(value, np.ndarray) else value for name, value in item.items()}
-        for item in found
-    ]
 
 
 @dataclass(frozen=True)
@@ -473,16 +424,6 @@ class _Encoded(Generic[Encoded]):
         return self.encode(packed) if len(packed) else None
 
 
-@dataclass(frozen=True)
-class _Joined:
-    """``collate_fn`` of a loader: items to one ``GarmentSet``."""
-
-    pack: _Packed
-
-    def __call__(self, items: Sequence[Item]) -> GarmentSet:
-        return GarmentSet.join([self.pack(item) for item in items])
-
-
 def _number(data: bytes) -> int:
     return int.from_bytes(hashlib.sha256(data).digest()[:8], "little", signed=True)
 
@@ -528,7 +469,7 @@ class Split:
         )
 
     def first(self, count: int) -> "Split":
-        """With the first ``count`` garments to train on, and the same test set."""
+        """The split with the first ``count`` training garments."""
         return replace(self, train=self.train.select(range(min(count, len(self.train)))))
 
 

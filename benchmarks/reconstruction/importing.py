@@ -113,7 +113,7 @@ def garment_name(path: Path) -> str:
 
 @dataclass(frozen=True)
 class ArrayReader:
-    """How the arrays of a model's output become a pattern."""
+    """Decoder of the arrays of a model's output."""
 
     main: str
     """The array that tells the number of garments; a file with one array need not name it."""

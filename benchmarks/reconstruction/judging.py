@@ -1,4 +1,4 @@
-"""How the answers of a task are scored, drawn and written: one ``Judge`` for each kind of answer."""
+"""Scores, pictures and files of the answers to a task: one ``Judge`` for each kind of answer."""
 
 import json
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from benchmarks.reconstruction.derived import CENTRE
 from benchmarks.reconstruction.evaluate import scores_of
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.tasks import Task
+from benchmarks.reconstruction.tasks import ReconstructionTask
 from gcd_dataset.files import make_folder, open_whole, write_whole
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern
 from gcd_dataset.generator.lay_plan import PALETTE
@@ -42,7 +42,7 @@ class Judge(Protocol):
         """Names of the files that ``write`` makes for garments, relative to its folder."""
 
 
-def judge_of(task: Task, *, watching: bool = False) -> Judge:
+def judge_of(task: ReconstructionTask, *, watching: bool = False) -> Judge:
     """The judge of a task; ``watching``: without scores that take long, to watch a training."""
     if task.name == "T4":
         return Vertices()
@@ -176,8 +176,6 @@ class Measures:
     """Answers are rows of ``MEASURES`` [cm, degrees], written as ``predictions/KEY.json``."""
 
     def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
-        from benchmarks.reconstruction.judging import score_measures
-
         return [score_measures(answer, garments.measures[k]) for k, answer in enumerate(answers)]
 
     def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 from collections.abc import Mapping
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.workers import parallel_map
 
 Batch = TypeVar("Batch")
 BatchOf = TypeVar("BatchOf", covariant=True)
@@ -105,6 +106,17 @@ def uploaded(numbers: Tensor, device: torch.device) -> Tensor:
     if device.type == "cuda" and numbers.device.type == "cpu":
         numbers = numbers.pin_memory()  # from pageable memory the copy would wait for all work of the stream
     return numbers.to(device, non_blocking=True)
+
+
+CHUNK = 64  # garments that a process encodes at once
+Encoded = TypeVar("Encoded", bound="TensorExamples")
+
+
+def encoded_by(encode: "Callable[[GarmentSet], Encoded]", garments: "GarmentSet", workers: int) -> "Encoded":
+    """The examples of garments, encoded on CPUs by ``workers`` processes."""
+    parts = (garments.select(range(k, min(k + CHUNK, len(garments)))) for k in range(0, len(garments), CHUNK))
+    found = list(parallel_map(encode, parts, workers))
+    return type(found[0]).join(found)
 
 
 def mean_of(values: Float[Tensor, "*b e"], chosen: Bool[Tensor, "*b e"]) -> Tensor:

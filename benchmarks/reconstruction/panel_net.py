@@ -14,9 +14,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.attention import DecoderLayer, EncoderLayer, hiding
 from benchmarks.reconstruction.panel_targets import BENDS
-from benchmarks.reconstruction.point_net import FREQUENCIES, PointConfig, waves
+from benchmarks.reconstruction.point_net import FREQUENCIES, DecoderLayer, EncoderLayer, PointConfig, hiding, waves
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
 
 STEP_SCALE = 0.1  # UNIT: size of the moves of corners and bends, 5 cm

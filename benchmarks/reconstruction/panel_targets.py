@@ -6,8 +6,9 @@ centroid; and the panel's rotation. Lengths are in ``UNIT``. A table of all edge
 labels and seams.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import chain
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from torch import Tensor
 
 from benchmarks.reconstruction.derived import CENTRE
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import TensorExamples, uploaded
+from benchmarks.reconstruction.learners import Batch, Examples, TensorExamples, uploaded
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, sample_curve, to_frame
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.faults import Severity, check_pattern
@@ -24,10 +25,12 @@ from gcd_dataset.metrics import PanelShape
 from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam, role_of
 from gcd_dataset.spec import euler_angles
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS
+from gcd_dataset.workers import parallel_map
 
 UNIT = 50.0  # cm, roughly a garment's extent from its centre
 BENDS = 5  # inner points of an edge, at equal shares of its length
 LARGEST_RADIUS = 1000.0  # cm; a flatter arc becomes a cubic
+TOGETHER = 8  # garments that a process draws at once
 STRAIGHT = 0.2  # cm; an edge is straight if its points are this close to the chord
 
 
@@ -74,7 +77,7 @@ class PanelTargets(TensorExamples):
 
 @dataclass(frozen=True)
 class ToTargets:
-    """From garments to their ``PanelTargets``, on a CPU."""
+    """Encodes garments as ``PanelTargets``, on the CPU."""
 
     queries: int
     slots: int
@@ -177,6 +180,16 @@ def _chord(piece: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k 2"]:
     """Points at equal shares of the chord between the first and the last."""
     t = np.linspace(0, 1, BENDS + 2)[1:-1, None]
     return (1 - t) * piece[0] + t * piece[-1]
+
+
+def patterns_by(
+    predict: Callable[[Batch], PanelTargets], examples: Examples[Batch], count: int, *, batch: int, workers: int
+) -> Iterator[Pattern]:
+    """The patterns predicted for the first ``count`` examples, drawn by ``workers`` processes."""
+    rows = torch.split(torch.arange(count), batch)
+    said = PanelTargets.join([predict(examples.batch(part)).to(torch.device("cpu")) for part in rows])
+    parts = (said[k : k + TOGETHER] for k in range(0, count, TOGETHER))
+    return chain.from_iterable(parallel_map(patterns_from, parts, workers))
 
 
 def patterns_from(garments: PanelTargets) -> list[Pattern]:

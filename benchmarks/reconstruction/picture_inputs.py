@@ -55,7 +55,7 @@ SIDES = 2  # pictures of a garment: front, back
 
 
 class Input(StrEnum):
-    """What a network sees."""
+    """The input of a network."""
 
     PLAIN = "plain"
     """The stored pictures: fixed cameras, a colour for each panel. The same pictures at every reading."""
@@ -270,7 +270,7 @@ def _finished(started: _Started) -> Rendered:
 
 
 def _labels(picture: Picture, scene: Scene) -> UInt8[np.ndarray, "h w"]:
-    """What each pixel shows."""
+    """``pixel_labels`` of a picture."""
     rows = [PANEL_LABELS.index(name) if name in PANEL_LABELS else 0 for name in scene.panel_labels]
     return pixel_labels(picture.maps, rows)
 

@@ -1,4 +1,4 @@
-"""What drawn pictures are worth: panels from two pictures of a draped garment, by one network trained on three inputs.
+"""The gain by drawn pictures: one network, trained on three inputs, predicts panels from two pictures of a garment.
 
     python -m benchmarks.run pictures_matter --count 12 --steps 30 --size 64 --device cpu
 
@@ -24,27 +24,29 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
-from benchmarks.cases.figures import Figure, Measured
+from benchmarks.cases import CaseResult, Figure
+from benchmarks.reconstruction import training
 from benchmarks.reconstruction.evaluate import scores_of
 from benchmarks.reconstruction.models.panel_set import answers_of, set_loss
+from benchmarks.reconstruction.models.picture_set import PictureSet, PictureTargets
 from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
 from benchmarks.reconstruction.picture_inputs import SIDES, Input, Rendered, load_garment, rendering, views_of
 from benchmarks.reconstruction.picture_model import STRIDE, PictureNet
 from benchmarks.reconstruction.scoring.table import UNITS
-from benchmarks.reconstruction.training import TrainConfig, learning_rate
+from benchmarks.reconstruction.training import Check, TrainConfig
 from gcd_dataset import Progress, generate
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
@@ -59,11 +61,9 @@ from gcd_dataset.records import Pattern
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.workers import parallel_map_chunks
 
-Curve: TypeAlias = Callable[[Mapping[str, Any]], None]
-"""Writes a row of the curves."""
-
 INPUTS = (Input.DRAWN, Input.PLAIN, Input.GREY)  # in the order of training: the slowest decides the number of steps
-USUAL = TrainConfig(steps=1)
+LOOP: Mapping[str, Any] = {"ema": 0.0, "betas": (0.9, 0.999), "decay_vectors": True, "rate_at": 1.0}
+"""Options of the training besides those of the case: as in the first report, so that its figures stay."""
 ON_GPU: Mapping[str, Any] = {
     "resolution": 2.0, "pool": 65_536, "batch": 128, "fresh": 32, "width": 256, "heads": 8, "layers": 4, "lr": 5e-4,
 }  # fmt: skip
@@ -124,7 +124,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--queries", 40, "most panels of a prediction")
 
 
-def run(args: argparse.Namespace) -> Measured:
+def run(args: argparse.Namespace) -> CaseResult:
     """Make or read the garments, train on each input, test, compare. Raises ``ConfigError`` for unusable options."""
     begun = time.perf_counter()
     args = completed(args)
@@ -146,7 +146,7 @@ def run(args: argparse.Namespace) -> Measured:
         results[what], args.steps = result, int(result.figures["steps"])  # the same number of steps for all
         figures = [*_about(data, args), *figures_of(results)]
         write_whole(out / "figures.csv", _table(figures))
-    return Measured([Figure("minutes", _seconds_since(begun) / 60, "min, everything"), *figures], rows_of(results))
+    return CaseResult([Figure("minutes", _seconds_since(begun) / 60, "min, everything"), *figures], rows_of(results))
 
 
 def completed(args: argparse.Namespace) -> argparse.Namespace:
@@ -267,10 +267,17 @@ def _rendered(
 
 
 class Pool:
-    """The latest readings on the device, fed by a stream of rendered batches."""
+    """The latest readings on the device, fed by a stream of rendered batches; examples of a training.
 
-    def __init__(self, batches: Iterator[Rendered], room: int, size: int, device: torch.device) -> None:
-        self._batches = batches
+    Each step receives ``fresh`` more readings and draws its batch with ``chance``, one generator for all steps.
+    """
+
+    def __init__(
+        self, batches: Iterator[Rendered], targets: PanelTargets, room: int, size: int, *, fresh: int = 0
+    ) -> None:
+        """``targets``: of the garments by position, on the device of the readings."""
+        self.fresh, self.chance = fresh, torch.Generator()
+        self._batches, self._targets, device = batches, targets, targets.device
         self._positions = torch.zeros(room, dtype=torch.int64)
         self._pictures = torch.zeros(room, SIDES, size, size, 3, dtype=torch.uint8, device=device)
         self._labels = torch.zeros(room, SIDES, size, size, dtype=torch.uint8, device=device)
@@ -280,7 +287,20 @@ class Pool:
         self.waited = 0.0
         """Time spent waiting for them [s]."""
 
-    def advance(self, count: int) -> None:
+    def __len__(self) -> int:
+        return min(self.added, len(self._positions))
+
+    def advance(self, step: int) -> None:
+        """Receive the readings of a step."""
+        self.receive(self.fresh)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing: rendered readings are not kept."""
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...
+
+    def receive(self, count: int) -> None:
         """Receive ``count`` more readings; rounded up to whole batches over the calls."""
         self._due += count
         while self.added < self._due:
@@ -294,13 +314,12 @@ class Pool:
             self._labels[here] = torch.from_numpy(batch.labels).to(here.device)
             self.added += len(batch.positions)
 
-    def draw(
-        self, count: int, chance: torch.Generator
-    ) -> tuple[Int[Tensor, " b"], UInt8[Tensor, "b n h w 3"], UInt8[Tensor, "b n h w"]]:
-        """``count`` of the readings, with repetition: positions of the garments, pictures, labels of their pixels."""
-        slots = torch.randint(min(self.added, len(self._positions)), (count,), generator=chance)
+    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> PictureTargets:
+        """One reading per row, drawn with repetition; the rows themselves are not used."""
+        slots = torch.randint(len(self), (len(rows),), generator=self.chance)
         here = slots.to(self._pictures.device)
-        return self._positions[slots], self._pictures[here], self._labels[here]
+        targets = self._targets[self._positions[slots].to(here.device)]
+        return PictureTargets(**vars(targets), pictures=self._pictures[here], shown=self._labels[here])
 
 
 @contextmanager
@@ -310,8 +329,9 @@ def pool_of(what: Input, data: Data, args: argparse.Namespace) -> Iterator[Pool]
     room = args.pool if endless else len(data.known)
     options = {"processes": args.renderers, "readings": 0 if endless else 1}
     with _rendered(data, data.known, [what], args, **options) as batches:
-        pool = Pool(batches, max(room, args.batch), args.size, torch.device(args.device))
-        pool.advance(min(room, len(data.known)))
+        targets = data.targets.to(torch.device(args.device))
+        pool = Pool(batches, targets, max(room, args.batch), args.size, fresh=args.fresh if endless else 0)
+        pool.receive(min(room, len(data.known)))
         yield pool
 
 
@@ -329,17 +349,14 @@ def trained_and_tested(
 ) -> Result:
     """Train on one input within ``seconds``, scoring included, and score the predictions for all test pictures."""
     begun = time.perf_counter()
-    device = torch.device(args.device)
-    targets = data.targets.to(device)
     with pool_of(what, data, args) as pool:
-        steps = args.steps or planned_steps(
-            pool, targets, what, args, seconds - _overhead(data, args) - _seconds_since(begun)
-        )
+        steps = args.steps or planned_steps(pool, data, args, seconds - _overhead(data, args) - _seconds_since(begun))
         log(f"{what}: {steps} steps, {pool.added} readings rendered in {_seconds_since(begun):.0f} s")
         start, received, waited = time.perf_counter(), pool.added, pool.waited
-        with curve_file(out) as curve:
-            net, losses = train(pool, targets, what, steps, args, watch=Watch(what, data, tests, args, curve))
+        net, rows = train(pool, data, steps, args, losses_on(tests, what, data, args))
         trained = _seconds_since(start)
+    write_curve(out, what, rows)
+    losses = [row["loss"] for row in rows]
     last = max(1, min(LOG_EVERY, steps // 4))
     figures = {
         "steps": float(steps),
@@ -360,12 +377,12 @@ def trained_and_tested(
     return Result(what, figures, of_tests)
 
 
-def planned_steps(pool: Pool, targets: PanelTargets, what: Input, args: argparse.Namespace, seconds: float) -> int:
-    """As many steps as fit into ``seconds``, by the pace of a network that is thrown away."""
+def planned_steps(pool: Pool, data: Data, args: argparse.Namespace, seconds: float) -> int:
+    """The number of steps that fit into ``seconds``, by the pace of a network that is thrown away."""
     begun = time.perf_counter()
-    train(pool, targets, what, PROBE // 2, args)
+    train(pool, data, PROBE // 2, args)
     start = time.perf_counter()
-    train(pool, targets, what, PROBE // 2, args)
+    train(pool, data, PROBE // 2, args)
     a_step = _seconds_since(start) / (PROBE // 2)
     return max(PROBE, int((seconds - (time.perf_counter() - begun)) / a_step))
 
@@ -376,18 +393,11 @@ def _overhead(data: Data, args: argparse.Namespace) -> float:
 
 
 def train(
-    pool: Pool,
-    targets: PanelTargets,
-    what: Input,
-    steps: int,
-    args: argparse.Namespace,
-    *,
-    watch: "Watch | None" = None,
-) -> tuple[PictureNet, list[float]]:
-    """A network trained on readings of the pool, and the loss of each step."""
+    pool: Pool, data: Data, steps: int, args: argparse.Namespace, check: Check | None = None
+) -> tuple[PictureNet, list[dict[str, float]]]:
+    """A network trained on readings of the pool, and a row of the curve for each step."""
     torch.manual_seed(args.seed)
-    device = torch.device(args.device)
-    config = NetConfig(
+    sizes = NetConfig(
         queries=args.queries,
         width=args.width,
         heads=args.heads,
@@ -396,38 +406,23 @@ def train(
         edge_heads=args.heads,
         edge_layers=max(1, args.layers // 2),
         seam_layers=max(1, args.layers // 2),
+        seen=0,
     )
-    net = PictureNet(config, views=SIDES, size=args.size).to(device)
-    chance = torch.Generator().manual_seed(args.seed)
-    optimizer = torch.optim.AdamW(net.parameters(), lr=args.lr, weight_decay=USUAL.weight_decay)
-    schedule = torch.optim.lr_scheduler.LambdaLR(
-        optimizer, lambda step: learning_rate((step + 1) / steps, USUAL.warm_up)
+    config = TrainConfig(
+        steps=steps,
+        batch=args.batch,
+        lr=args.lr,
+        seed=args.seed,
+        log_every=1,
+        checks=min(CHECKS, max(1, steps // LOG_EVERY)),
+        **LOOP,
     )
-    losses: list[float] = []
-    for step in range(steps):
-        net.train()
-        if what is not Input.PLAIN:
-            pool.advance(args.fresh)
-        positions, pictures, labels = pool.draw(args.batch, chance)
-        parts = losses_of(net, pictures, targets[positions.to(device)], labels)
-        loss = torch.stack(list(parts.values())).sum()
-        optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        torch.nn.utils.clip_grad_norm_(net.parameters(), USUAL.largest_gradient)
-        optimizer.step()
-        schedule.step()
-        losses.append(loss.item())
-        if watch is not None:
-            watch.after(step + 1, steps, net, losses, pool)
-    return net, losses
-
-
-def losses_of(net: PictureNet, pictures: Tensor, true: PanelTargets, labels: Tensor | None = None) -> dict[str, Tensor]:
-    """The weighted loss terms of panels and seams, and with ``labels`` of pixels too; in bfloat16 on a GPU."""
-    with torch.autocast(pictures.device.type, torch.bfloat16, enabled=pictures.is_cuda):
-        tokens = net(pictures)
-        of_pixels = {} if labels is None else net.pixel_losses(tokens, labels)
-        return {**set_loss(net.decoder, tokens, true), **of_pixels}
+    learner = PictureSet(sizes, views=SIDES, size=args.size)
+    pool.chance.manual_seed(args.seed)
+    trained = training.train(learner, pool, config, device=torch.device(args.device), check=check)
+    best = trained.learner
+    assert isinstance(best, PictureSet)
+    return best.net, trained.curve
 
 
 def predict(net: PictureNet, pictures: UInt8[Tensor, "t n h w 3"], args: argparse.Namespace) -> list[Pattern]:
@@ -436,64 +431,49 @@ def predict(net: PictureNet, pictures: UInt8[Tensor, "t n h w 3"], args: argpars
     patterns: list[Pattern] = []
     with torch.no_grad():
         for part in torch.split(pictures, args.batch):
-            with torch.autocast(args.device.split(":")[0], torch.bfloat16, enabled=args.device != "cpu"):
+            with _autocast(args):
                 found = answers_of(net.decoder, net(part.to(args.device)))
             patterns += patterns_from(found)
     return patterns
 
 
-class Watch:
-    """Writes the course of a training: the loss of the last steps, and at times the loss on the test pictures."""
+def losses_on(tests: Mapping[Input, Tensor], what: Input, data: Data, args: argparse.Namespace) -> Check:
+    """A check of the loss on some test pictures of each kind, without the loss of pixels."""
+    device = torch.device(args.device)
+    seen = {test: pictures[:CHECKED].to(device) for test, pictures in tests.items()}
+    true = data.targets[torch.tensor(data.unseen[:CHECKED])].to(device)
 
-    def __init__(
-        self, what: Input, data: Data, tests: Mapping[Input, Tensor], args: argparse.Namespace, curve: Curve
-    ) -> None:
-        self._what, self._curve, self._begun = what, curve, time.perf_counter()
-        device = torch.device(args.device)
-        self._tests = {test: pictures[:CHECKED].to(device) for test, pictures in tests.items()}
-        self._true = data.targets[torch.tensor(data.unseen[:CHECKED])].to(device)
+    def check(step: int, learner: Any) -> dict[str, float]:
+        net = learner.net
+        with torch.no_grad(), _autocast(args):
+            losses = {f"loss_{test}": set_loss(net.decoder, net(pictures), true) for test, pictures in seen.items()}
+        found = {name: sum(part.item() for part in parts.values()) for name, parts in losses.items()}
+        log(f"{what}: step {step}; {', '.join(f'{name} {value:.3f}' for name, value in found.items())}")
+        return found
 
-    def after(self, step: int, steps: int, net: PictureNet, losses: Sequence[float], pool: Pool) -> None:
-        """Write a row every ``LOG_EVERY`` steps."""
-        every = max(LOG_EVERY, steps // CHECKS)
-        if step % LOG_EVERY and step % every and step != steps:
-            return
-        loss = float(np.mean(losses[-LOG_EVERY:]))
-        checked = self._checked(net) if step % every == 0 or step == steps else {}
-        row = {"input": self._what, "step": step, "seconds": _seconds_since(self._begun), "loss": loss}
-        self._curve({**row, "readings": pool.added, **checked})
-        if checked:
-            shown = ", ".join(f"{name} {value:.3f}" for name, value in checked.items())
-            log(f"{self._what}: step {step} of {steps}, loss {loss:.3f}; {shown}")
+    return check
 
-    def _checked(self, net: PictureNet) -> dict[str, float]:
-        net.eval()
-        with torch.no_grad():
-            return {
-                f"loss_{test}": sum(part.item() for part in losses_of(net, pictures, self._true).values())
-                for test, pictures in self._tests.items()
-            }
+
+def _autocast(args: argparse.Namespace) -> torch.autocast:
+    return torch.autocast(args.device.split(":")[0], torch.bfloat16, enabled=args.device != "cpu")
 
 
 # ------------------------------------------------------------------------------------------------------------ the files
 
 
-@contextmanager
-def curve_file(out: Path) -> Iterator[Curve]:
-    """A function that appends a row to ``curves.csv``, at once readable."""
-    names = ["input", "step", "seconds", "loss", "readings", *(f"loss_{test}" for test in TESTS)]
+def write_curve(out: Path, what: Input, rows: Sequence[Mapping[str, float]]) -> None:
+    """Append rows to ``curves.csv``: every ``LOG_EVERY`` steps their mean loss, and each loss on test pictures."""
+    checks = [f"loss_{test}" for test in TESTS]
     path = out / "curves.csv"
     is_new = not path.exists()
     with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, names)
+        writer = csv.DictWriter(file, ["input", "step", "seconds", "loss", *checks], extrasaction="ignore")
         if is_new:
             writer.writeheader()
-
-        def write(row: Mapping[str, Any]) -> None:
-            writer.writerow({name: f"{v:.5g}" if isinstance(v, float) else v for name, v in row.items()})
-            file.flush()
-
-        yield write
+        for k, row in enumerate(rows, 1):
+            if k % LOG_EVERY == 0 or k == len(rows) or checks[0] in row:
+                loss = np.mean([each["loss"] for each in rows[max(0, k - LOG_EVERY) : k]])
+                writer.writerow({**row, "input": what, "loss": f"{loss:.5g}"})
 
 
 def sheet(tests: Mapping[Input, UInt8[Tensor, "t n h w 3"]]) -> UInt8[np.ndarray, "h w 3"]:

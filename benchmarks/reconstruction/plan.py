@@ -145,7 +145,7 @@ def _require_usable(run: PlannedRun) -> None:
     given = [*_flags(run.options), "--out", "out", "--device", "cpu"]
     if run.program == "stitching.run":
         stitching.add_arguments(parser)
-        stitching.configs_from(stitching.parsed(parser, given))
+        require_usable(stitching.options_of(stitching.parsed(parser, given)))
     else:
         add_arguments(parser)
         require_usable(options_from(parser.parse_args(given), run.model))

@@ -1,17 +1,16 @@
 """Results of trained models: a file for each in ``benchmarks/reports/learning``, from the reports of the trainings."""
 
-import argparse
 import hashlib
 import json
 import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from benchmarks.reconstruction.models import MODELS, load_model
+from benchmarks.reconstruction.models.stitches import StitchConfig
 from benchmarks.reconstruction.stitching import run as stitching
 from benchmarks.reconstruction.tasks import task_named
 from gcd_dataset.errors import ConfigError
@@ -65,7 +64,7 @@ class Entry:
     tested: int = 0
     """Garments of the test set."""
     tests: str = ""
-    """Which garments these are: equal for the same patterns, draped at the same resolution."""
+    """Identity of the test set: equal for the same patterns draped at the same resolution."""
     steps: int = 0
     """Steps that were asked for; 0: the training was given a time."""
     asked: float = 0.0
@@ -78,7 +77,7 @@ class Entry:
 
     @property
     def length(self) -> str:
-        """How long the training was to be; empty for a reference without one."""
+        """The length that was asked for; empty for a reference without a training."""
         if not self.minutes:
             return ""
         if self.steps:
@@ -195,13 +194,10 @@ def _usual_of(model: str) -> dict[str, Any]:
     return {name: usual[name] for name in ("batch", "lr") if name in usual} | {"seed": 0}
 
 
-@cache
 def _usual_of_stitches() -> dict[str, Any]:
     """The usual options of T3, besides its length."""
-    parser = argparse.ArgumentParser()
-    stitching.add_arguments(parser)
-    names = ("foreign", "width", "heads", "layers", "pair_width", "batch", "lr", "seed")
-    return {name: parser.get_default(name) for name in names}
+    sizes = {name: getattr(StitchConfig(), name) for name in ("foreign", "width", "heads", "layers", "pair_width")}
+    return {**sizes, **{name: stitching.USUAL[name] for name in ("batch", "lr")}, "seed": 0}
 
 
 def _checked(entry: Entry, path: Path) -> Entry:

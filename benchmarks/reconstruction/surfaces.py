@@ -21,7 +21,7 @@ from gcd_dataset.meshedges import mesh_edges
 
 METRE = 100.0  # cm: unit of positions in networks
 NEIGHBOURS = 10  # of a vertex, the nearest along edges; in a mesh of ours 6 on average
-SHAPE = 6  # numbers of ``Surface.shape``
+SHAPE = 6  # numbers of ``SurfaceArrays.shape``
 MOST_YAW = 0.3  # rad, of the augmentation
 MOST_GROWTH = 0.05  # share, of the augmentation
 JITTER = 0.001  # metres, of the augmentation
@@ -29,7 +29,7 @@ JITTERED = 4096  # rows of jitter
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class SurfaceArrays:
     """A mesh, prepared for a network."""
 
     positions: Float[np.ndarray, "v 3"]
@@ -54,7 +54,7 @@ def surface_of(
     *,
     clusters: int,
     lengths: Float[np.ndarray, "f 3"] | None = None,
-) -> Surface:
+) -> SurfaceArrays:
     """A mesh with ``vertices`` [cm], prepared. ``lengths``: of the edges after each corner of a face, if they are not
     the distances of ``vertices`` [cm].
     """
@@ -66,7 +66,7 @@ def surface_of(
     table, reverse, along = _mutual(*_neighbours(pairs, rest + 1e-6, len(vertices)))
     on_border = np.zeros(len(vertices), bool)
     on_border[pairs[borders].ravel()] = True
-    return Surface(
+    return SurfaceArrays(
         positions=((vertices - CENTRE) / METRE).astype(np.float32),
         normals=vertex_normals(vertices, faces).astype(np.float32),
         neighbours=table,
@@ -77,12 +77,12 @@ def surface_of(
     )
 
 
-def cloud_of(points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], *, clusters: int) -> Surface:
+def cloud_of(points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], *, clusters: int) -> SurfaceArrays:
     """Points [cm] without a mesh: neighbours are among the nearest of each other, 8.5 of 10 on a plane."""
     distances, nearest = cKDTree(points).query(points, k=NEIGHBOURS + 1)
     pairs = np.stack([np.repeat(np.arange(len(points)), NEIGHBOURS), nearest[:, 1:].ravel()], axis=1)
     table, reverse, along = _mutual(nearest[:, 1:], (distances[:, 1:] / METRE).astype(np.float32))
-    return Surface(
+    return SurfaceArrays(
         positions=((points - CENTRE) / METRE).astype(np.float32),
         normals=normals.astype(np.float32),
         neighbours=table,
@@ -156,7 +156,7 @@ def _neighbours(
 def _mutual(
     table: Int[np.ndarray, "v k"], lengths: Float[np.ndarray, "v k"]
 ) -> tuple[Int[np.ndarray, "v k"], Int[np.ndarray, "v k"], Float[np.ndarray, "v k"]]:
-    """``Surface.neighbours``, ``reverse`` and ``lengths``, with the edges that the table has both ways."""
+    """``SurfaceArrays.neighbours``, ``reverse`` and ``lengths``, with the edges that the table has both ways."""
     count, columns = table.shape
     own = np.arange(count)[:, None]
     entries = own * columns + np.arange(columns)
@@ -209,11 +209,11 @@ class SurfaceBatch:
     neighbours: Int[Tensor, "v k"]
     """Rows of the batch."""
     reverse: Int[Tensor, "v k"]
-    """``Surface.reverse``, for the table of the batch."""
+    """``SurfaceArrays.reverse``, for the table of the batch."""
     lengths: Float[Tensor, "v k"]
-    """``Surface.lengths``."""
+    """``SurfaceArrays.lengths``."""
     shape: Float[Tensor, "v 6"]
-    """``Surface.shape``."""
+    """``SurfaceArrays.shape``."""
     clusters: Int[Tensor, " v"]
     """``garment * tokens + cluster``."""
     garments: Int[Tensor, " v"]
@@ -236,7 +236,7 @@ class SurfaceBatch:
 
     @property
     def exists(self) -> Bool[Tensor, "b n"]:
-        """Which entries of ``padded`` are vertices."""
+        """Mask of the entries of ``padded`` that are vertices."""
         numbers = torch.arange(int(self.counts.max()), device=self.counts.device)
         return numbers < self.counts[:, None]
 
@@ -244,7 +244,7 @@ class SurfaceBatch:
 class SurfaceStore:
     """Meshes on a device, from which batches are gathered."""
 
-    def __init__(self, surfaces: Sequence[Surface], *, tokens: int, device: torch.device) -> None:
+    def __init__(self, surfaces: Sequence[SurfaceArrays], *, tokens: int, device: torch.device) -> None:
         def joined(name: str, kind: torch.dtype) -> Tensor:
             rows = np.concatenate([getattr(surface, name) for surface in surfaces])
             return torch.from_numpy(rows).to(device=device, dtype=kind)

@@ -30,7 +30,7 @@ SURFACES = (
 
 
 @dataclass(frozen=True)
-class Task:
+class ReconstructionTask:
     """A task."""
 
     name: str
@@ -93,42 +93,42 @@ class Task:
 TASKS = {
     task.name: task
     for task in (
-        Task(
+        ReconstructionTask(
             "T0", "points of the box mesh", "pattern", "topology_exact", MESH,
             points=8192, extra=(*NAMED, "box_labels"),
         ),
-        Task(
+        ReconstructionTask(
             "T1", "points of the draped garment", "pattern", "topology_exact", DRAPE,
             points=8192, extra=(*NAMED, "draped_labels"),
         ),
-        Task(
+        ReconstructionTask(
             "T1-scan", "points that one depth camera measures", "pattern", "topology_exact", DRAPE,
             points=8192, extra=(*NAMED, "scan"),
         ),
-        Task(
+        ReconstructionTask(
             "T2", "pictures of the draped garment", "pattern", "topology_exact", DRAPE,
             points=512,  # no input: the reference ``typical`` compares training garments by them
             extra=(*POSE, "design", "pictures", "shown"), sizes=(1000, 4000),
         ),
-        Task("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
-        Task(
+        ReconstructionTask("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
+        ReconstructionTask(
             "T4", "draped mesh", "panel and seam of each vertex", "panel_label", DRAPE,
             points=2048, extra=SURFACES, sizes=(1000, 4000),
         ),
-        Task(
+        ReconstructionTask(
             "T5", "points of garment and visible body", "measures", "error_cm", DRAPE,
             points=2048, extra=SURFACES, sizes=(1000, 4000),
         ),
-        Task(
+        ReconstructionTask(
             "T6", "pattern, box mesh and body", "positions of the drape", "error_cm", DRAPE,
             points=2048, extra=SURFACES, sizes=(1000, 4000),
         ),
-        Task("T7", "patterns of other sources", "pattern", "garment_perfect", PATTERN),
+        ReconstructionTask("T7", "patterns of other sources", "pattern", "garment_perfect", PATTERN),
     )
 }  # fmt: skip
 
 
-def task_named(name: str) -> Task:
+def task_named(name: str) -> ReconstructionTask:
     """The task. Raises ``ConfigError`` for an unknown name."""
     if name not in TASKS:
         raise ConfigError(f"no task {name!r:.99}: choose one of {', '.join(TASKS)}")

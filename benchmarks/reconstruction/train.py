@@ -38,10 +38,11 @@ from benchmarks.reconstruction.judging import Judge, intervals, judge_of, means_
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models import MODELS, load_model
 from benchmarks.reconstruction.scoring.table import DRAPED, EVALUATION, REPORT, SCORES
-from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, Task, task_named
+from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, ReconstructionTask, task_named
 from benchmarks.reconstruction.training import (
     CHECKPOINT,
     CURVES,
+    Check,
     FreshPool,
     StoppedError,
     TrainConfig,
@@ -61,6 +62,8 @@ OF_GARMENTS, SUFFIXES = ("predictions", "truth", "inputs", "bodies"), (".json", 
 """Folders of the files of test garments, and how these end after the garment's key."""
 UNFINISHED = 3
 """Exit code of a call that ``--limit-minutes`` ended."""
+AS_GIVEN = ("source", "leave_out", "fresh", "make_device", "smoke", "make_only", "limit_minutes", "drape")
+"""Fields of ``Options`` that are options of the command."""
 SMOKE: Mapping[str, Any] = {
     "train": 16, "test": 8, "resolution": 4.0,
     "design": {"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "Skirt2"]}}},
@@ -73,7 +76,7 @@ class Options:
     """Options of a run."""
 
     model: str
-    task: Task
+    task: ReconstructionTask
     out: Path
     train: int
     test: int
@@ -107,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of a run, besides the model."""
 
     def option(name: str, default: Any, text: str) -> None:
-        parser.add_argument(name, type=type(default), default=default, help=f"{text} ({default})")
+        parser.add_argument(name, type=type(default), default=default, help=f"{text} (%(default)s)")
 
     option("--task", "T0", f"one of {', '.join(TASKS)}")
     option("--train", 0, f"garments to train on; 0: {TRAINED}, or {SMOKE['train']} with --smoke")
@@ -169,17 +172,10 @@ def options_from(args: argparse.Namespace, model: str) -> Options:
         config=TrainConfig(**chosen, seed=args.seed, compile=args.compile),
         sizes=_sizes(args.set),
         data=Path(args.data) if args.data else out.parent / "garments",
-        source=args.source,
-        leave_out=args.leave_out,
-        fresh=args.fresh,
         recipe=recipe,
         workers=workers,
         device=device,
-        make_device=args.make_device,
-        smoke=args.smoke,
-        make_only=args.make_only,
-        limit_minutes=args.limit_minutes,
-        drape=args.drape,
+        **{name: getattr(args, name) for name in AS_GIVEN},
     )
 
 
@@ -254,7 +250,10 @@ def _answered(
     if hasattr(module, "build"):
         torch.manual_seed(options.config.seed)
         learner = module.build(smoke=options.smoke, options=options.sizes)
-        trained, received = _trained(learner, split, options, device, begun)
+        learner.to(device)
+        watched = learner.prepare(split.check, device=device)
+        check = _Check(split.check, watched, options.out, judge_of(options.task, watching=True))
+        trained, received = trained_by(options, learner, split, device, check=check, begun=begun)
     if _rank():
         return None
     trained_at = time.perf_counter()
@@ -283,7 +282,8 @@ def require_usable(options: Options) -> None:
         if options.sizes or options.fresh:
             raise ConfigError(f"{options.model} has no network and no training: leave out --set and --fresh")
     elif options.sizes or options.fresh:
-        learner = module.build(smoke=options.smoke, options=options.sizes)
+        with torch.random.fork_rng(devices=[]):
+            learner = module.build(smoke=options.smoke, options=options.sizes)
         learner.require_fields(options.task.extra)
         if options.fresh and (learner.encoder() is None or options.source or options.leave_out):
             raise ConfigError("--fresh: needs a model that encodes garments, no --source, and no --leave-out")
@@ -300,11 +300,11 @@ def _require_own_folder(options: Options) -> None:
             raise ConfigError(f"{options.out} holds {name} of a training: give {options.model} another folder")
 
 
-def load_split(options: Options) -> Split:
-    """The garments; the first rank makes them, the others read its cache."""
+def load_split(options: Options, *, checked: int = 0) -> Split:
+    """The garments; the first rank makes them, the others read its cache. ``checked``: as in ``task.load``."""
     if _rank():
         dist.barrier()
-    load: Callable[..., Split] = partial(options.task.load, data=options.data, **_recipe(options))
+    load: Callable[..., Split] = partial(options.task.load, data=options.data, checked=checked, **_recipe(options))
     if options.source:
         load = partial(options.task.read, options.source)
     split = load(options.train, workers=options.workers, tested=options.test)
@@ -326,14 +326,14 @@ def _rank() -> int:
 # --------------------------------------------------------------------------------------------------------- the training
 
 
-def _trained(
-    learner: Learner[Any, Any], split: Split, options: Options, device: torch.device, begun: float
+def trained_by(
+    options: Options, learner: Learner[Any, Any], split: Split, device: torch.device, *, check: Check, begun: float
 ) -> tuple[Trained, int]:
-    """The trained learner, and the number of fresh garments received; the call began at ``begun``."""
-    learner.to(device)
+    """The trained learner, and the number of fresh garments received; the call began at ``begun``.
+
+    Raises ``StoppedError`` for a training that the time limit ends.
+    """
     examples = learner.prepare(split.train, device=device, workers=options.workers)
-    watched = learner.prepare(split.check, device=device)
-    check = _Check(split.check, watched, options.out, judge_of(options.task, watching=True))
     if options.fresh:
         examples = _pool(learner, split.train, options, device)
     limit = 60 * options.limit_minutes - (time.perf_counter() - begun) if options.limit_minutes else math.inf
@@ -525,17 +525,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("model", choices=MODELS)
     add_arguments(parser)
     args = parser.parse_args(arguments)
-    try:
+
+    def call() -> None:
         report = run(options_from(args, args.model))
-    except StoppedError as stopped:
-        print(f"train {args.model}: {stopped}", file=sys.stderr)
-        return UNFINISHED
-    except GcdError as error:
-        print(f"train {args.model}: {error}", file=sys.stderr)
-        return 1
-    if report is not None:
-        for name, (mean, low, high) in report["scores"].items():
+        for name, (mean, low, high) in report["scores"].items() if report else ():
             print(f"{args.task}.{args.model}.{name} {mean:.4g} ({low:.4g} to {high:.4g})")
+
+    return exit_code(f"train {args.model}", call)
+
+
+def exit_code(program: str, call: Callable[[], None]) -> int:
+    """The exit code of a call, whose error is printed as one line: 0, 1, or ``UNFINISHED``."""
+    try:
+        call()
+    except GcdError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return UNFINISHED if isinstance(error, StoppedError) else 1
     return 0
 
 

@@ -38,7 +38,6 @@ Check = Callable[[int, Learner[Any, Any]], Mapping[str, float]]
 """Called on the way with the step and the averaged learner; the figures returned become columns of the curves."""
 
 CHECKPOINT, CURVES = "checkpoint.pt", "curves.csv"
-BETAS = (0.9, 0.98)
 
 
 class TrainingError(GcdError):
@@ -66,8 +65,13 @@ class TrainConfig:
     """Highest learning rate."""
     warm_up: float = 0.05
     """Share of the training in which the learning rate rises."""
+    rate_at: float = 0.5
+    """Part of a step, in [0, 1], at whose progress its learning rate is taken."""
+    betas: tuple[float, float] = (0.9, 0.98)
+    """Decay of the means of AdamW."""
     weight_decay: float = 0.05
-    """Weight decay, applied to matrices only."""
+    """Weight decay, of matrices only unless ``decay_vectors``."""
+    decay_vectors: bool = False
     largest_gradient: float = 1.0
     """Norm to which larger gradients are scaled."""
     ema: float = 0.999
@@ -104,7 +108,7 @@ class Trained:
     """The end of a training."""
 
     learner: Learner[Any, Any]
-    """With the averaged weights, in evaluation mode."""
+    """The learner with averaged weights, in evaluation mode."""
     steps: int
     seconds: float
     """Time of the steps."""
@@ -129,7 +133,7 @@ class Growing(Protocol):
 
 def train(
     learner: Learner[Batch, Any],
-    examples: Examples[Batch] | Callable[[], Examples[Batch]],
+    examples: Examples[Batch],
     config: TrainConfig,
     *,
     device: torch.device,
@@ -141,8 +145,6 @@ def train(
 ) -> Trained:
     """Train a learner, or continue from the checkpoint in ``out``.
 
-    ``examples``: or a function that prepares them, which a finished training does not call. It leaves the learner as
-    it is, and draws no number from torch's own generators.
     ``of``: what is trained on what, such as the model, its sizes and hashes of the garments; a checkpoint of another
     training is refused. ``out``: folder of the checkpoint and the curves; ``None``: neither is written. ``stop_after``:
     stop after this step as a job's time limit does, with a checkpoint. ``limit``: time of this call [s].
@@ -154,16 +156,11 @@ def train(
     torch.manual_seed(config.seed)
     run = _Run(learner.to(device), config, device, of)
     curves = _Curves(None if out is None or _rank() else make_folder(out))
-    position: Mapping[str, Any] | None = None
     if out is not None and (out / CHECKPOINT).exists():
         position = run.restore(out / CHECKPOINT)
         curves.resume(run.step)
-    if run.progress >= 1 and callable(examples):
-        curves.close()
-        return Trained(run.average(), run.step, run.seconds, 0.0, curves.rows)
-    examples = examples() if callable(examples) else examples
-    if position is not None and isinstance(examples, Growing):
-        examples.load_state_dict(dict(position))
+        if isinstance(examples, Growing):
+            examples.load_state_dict(dict(position))
     if config.compile and run.progress < 1:
         examples = run.compile(examples)
     next_check, aside = math.floor(run.progress * config.checks) + 1, 0.0
@@ -278,8 +275,9 @@ class _Run:
         self._pairs = list(zip(self.averaged.state_dict().values(), learner.state_dict().values(), strict=True))
         matrices = [p for p in learner.parameters() if p.requires_grad and p.ndim > 1]
         vectors = [p for p in learner.parameters() if p.requires_grad and p.ndim <= 1]
-        groups = [{"params": matrices, "weight_decay": config.weight_decay}, {"params": vectors, "weight_decay": 0.0}]
-        self.optimizer = torch.optim.AdamW(groups, lr=config.lr, betas=BETAS, fused=device.type == "cuda")
+        decays = config.weight_decay, config.weight_decay if config.decay_vectors else 0.0
+        groups = [{"params": p, "weight_decay": d} for p, d in zip((matrices, vectors), decays, strict=True)]
+        self.optimizer = torch.optim.AdamW(groups, lr=config.lr, betas=config.betas, fused=device.type == "cuda")
         self.model: nn.Module = learner
         if _ranks() > 1:
             self.model = DistributedDataParallel(learner, find_unused_parameters=False)
@@ -371,7 +369,7 @@ class _Run:
     def _progress_after(self) -> float:
         """Progress after the step that begins, so that the first step has a learning rate above 0."""
         if self.config.steps:
-            return min(1.0, (self.step + 0.5) / self.config.steps)
+            return min(1.0, (self.step + self.config.rate_at) / self.config.steps)
         return min(1.0, (self.step + 1) / max(self.step, 1) * self.progress) if self.step else 1e-3
 
     def agree_on_time(self, *, is_over: bool) -> bool:

@@ -1,6 +1,6 @@
 """The drape benchmark: variants, figures, pictures of failures."""
 
-import sys
+import argparse
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 
 from benchmarks import run
-from benchmarks.draping.failures import write_failures
-from benchmarks.draping.modes import measure_memory, measure_sewn, variants
+from benchmarks.cases import parity
+from benchmarks.cases.parity import compare
+from benchmarks.draping.modes import measure_memory, measure_sewn, variants, write_failures
 from benchmarks.draping.workload import Worn, pass_paper, quality
-from benchmarks.peers.newton import require_newton, unmirrored
+from benchmarks.peers.newton import unmirrored
+from gcd_dataset.curves import Quadratic
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
-from gcd_dataset.records import Drape, Outcome
+from gcd_dataset.records import Drape, EdgeRef, Outcome, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import write_pattern
 from tests.generator.dressing import test_dressing as openings
-from tests.helpers import SIZE, far_ball, joined, patch
+from tests.helpers import SIZE, far_ball, joined, napkins, patch
 
 
 def drape(outcome: Outcome, *, crossings: int = 0) -> Drape:
@@ -93,12 +95,6 @@ def test_each_failure_has_its_picture(tmp_path: Path) -> None:
     assert names == ["0_NOT_SETTLED.jpg", "2_DIVERGED.jpg", "kinds.jpg"]
 
 
-def test_the_error_without_newton_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "newton", None)
-    with pytest.raises(ConfigError, match=r"pip install 'gcd-dataset\[bench\]'"):
-        require_newton()
-
-
 def test_mirrored_panels_keep_area_and_edge_lengths() -> None:
     mesh = patch(3, 2)
     mirrored = replace(mesh, uv=mesh.uv * [-1.0, 1.0])
@@ -121,3 +117,85 @@ def test_a_pattern_that_cannot_be_read_is_named_and_the_others_are_measured(
     assert "drape.s_per_garment" in printed.out
     assert f"bad: REFUSED: {bad}: line 1" in printed.err
     assert "| bad |  | REFUSED |" in report.read_text()
+
+
+# --------------------------------------------------------------------------------------------------------------- parity
+
+
+def test_a_pattern_agrees_with_itself() -> None:
+    found = compare(napkins(), napkins())
+    assert not found.structure
+    assert max(found.outline.values()) == max(found.placement.values()) == 0.0
+
+
+def test_a_moved_panel_keeps_its_outline() -> None:
+    found = compare(changed(napkins(), placement=Placement(np.array([3.0, 0.0, 4.0]), np.zeros(3))), napkins())
+    assert found.outline["one"] == pytest.approx(0.0, abs=1e-9)
+    assert found.placement == {"one": pytest.approx(5.0), "two": 0.0}
+
+
+def test_a_loop_may_begin_at_any_corner() -> None:
+    """The same panel drawn from its second corner, its seam renumbered."""
+    panel = napkins().panels[0]
+    begun = changed(napkins(), edges=(*panel.edges[1:], panel.edges[0]))
+    begun = replace(begun, seams=(Seam(EdgeRef("one", 0), EdgeRef("two", 3)),))
+    found = compare(begun, napkins())
+    assert not found.structure
+    assert found.outline["one"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_bulge_is_located_on_its_edge() -> None:
+    """A quadratic's midpoint is half as far off the chord as its control point: 0.5 · 0.1 · 20 cm."""
+    panel = napkins().panels[0]
+    bent = (panel.edges[0], panel.edges[1], replace(panel.edges[2], curve=Quadratic((0.5, 0.1))), panel.edges[3])
+    found = compare(changed(napkins(), edges=bent), napkins())
+    assert found.outline["one"] == pytest.approx(1.0, abs=1e-3)
+    assert found.worst_edge["one"] == 2
+
+
+@pytest.mark.parametrize(
+    ("pattern", "message"),
+    [
+        (replace(napkins(), panels=napkins().panels[:1], seams=()), "panel two: is missing"),
+        (replace(napkins(), seams=()), "seam one edge 1 with two edge 3 is not sewn"),
+        (replace(napkins(), seams=(replace(napkins().seams[0], right_wrong=True),)), "is sewn the other way"),
+        (replace(napkins(), seams=(Seam(EdgeRef("one", 3), EdgeRef("two", 3)),)), "one edge 3 with two edge 3 is sewn"),
+    ],
+)
+def test_different_seams_are_named(pattern: Pattern, message: str) -> None:
+    assert any(message in str(difference) for difference in compare(pattern, napkins()).structure)
+
+
+def changed(pattern: Pattern, **values: object) -> Pattern:
+    """The pattern with its first panel changed."""
+    panel: Panel = replace(pattern.panels[0], **values)  # type: ignore[arg-type]
+    return replace(pattern, panels=(panel, *pattern.panels[1:]))
+
+
+def parity_figures(folder: Path, expect: Path | None = None, *, only: str = "") -> dict[str, float]:
+    measured = parity.run(argparse.Namespace(folder=folder, only=only, expect=expect))
+    return {figure.metric: figure.value for figure in measured.figures}
+
+
+def test_our_patterns_agree_with_the_reference(examples: Path) -> None:
+    """Those of two designs; of all 24 in tests/extras."""
+    figures = parity_figures(examples / "patterns", only="shirt_sleeves_hood")
+    assert figures["designs"] == 2
+    assert figures["same"] == figures["outline"] == figures["placement"] == 1.0
+
+
+def test_without_an_expected_mend_a_difference_counts(examples: Path, tmp_path: Path) -> None:
+    """Our levels are as wide as the hem above; GarmentCode's width also depends on the hips."""
+    expect = tmp_path / "mends.toml"
+    expect.write_text("")
+    assert parity_figures(examples / "patterns" / "levels_skirt", expect)["outline"] == 0.0
+    expect.write_text('default_body = ["LEVEL_GIRTH", "WORN_LENGTH"]\n')
+    assert parity_figures(examples / "patterns" / "levels_skirt", expect)["outline"] == 0.5
+    expect.write_text('default_body = ["LEVELS"]\n')
+    with pytest.raises(ConfigError, match="unknown mend 'LEVELS': choose among"):
+        parity_figures(examples / "patterns" / "levels_skirt", expect)
+
+
+def test_a_folder_without_designs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no folder in it has design, measures and specification"):
+        parity_figures(tmp_path)

@@ -13,7 +13,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from benchmarks.drapemeter import drape_coefficient
+from benchmarks.cloth_tests import drape_coefficient
 from benchmarks.reconstruction import garments, train
 from benchmarks.reconstruction.derived import picture_views
 from benchmarks.reconstruction.garments import GarmentSet, fresh_garments, generated
@@ -25,7 +25,7 @@ from benchmarks.reconstruction.train import UNFINISHED, main
 from gcd_dataset.generator.drape import FABRICS
 from tests.benchmarks.reconstruction.conftest import SKIRTS
 from tests.benchmarks.reconstruction.test_evaluate import save
-from tests.benchmarks.reconstruction.test_plan import PLANS
+from tests.benchmarks.reconstruction.test_leaderboard import PLANS
 from tests.benchmarks.reconstruction.test_train import SMALL
 from tests.benchmarks.test_pictures_matter import options, stored_garments
 from tests.test_metrics import garment
@@ -116,10 +116,10 @@ def test_pictures_of_this_process_are_those_of_the_workers(monkeypatch: pytest.M
 
 def test_a_network_learns_from_plain_pictures(tmp_path: Path) -> None:
     folder = stored_garments(tmp_path)
-    args = options(folder, steps=40)
+    args = options(folder, steps=40, size=32)
     data = load(folder, args)
     with pool_of(Input.PLAIN, data, args) as pool:
-        losses = train_on_pictures(pool, data.targets, Input.PLAIN, args.steps, args)[1]
+        losses = [row["loss"] for row in train_on_pictures(pool, data, args.steps, args)[1]]
     assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
 
 

@@ -1,5 +1,6 @@
 """Two ranks, each with half of every batch, learn what one process learns."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,20 @@ import torch
 from torch.distributed import TCPStore  # type: ignore[attr-defined]
 from torch.multiprocessing.spawn import spawn
 
-from tests.benchmarks.reconstruction.toys import train_rank
+from benchmarks.reconstruction.training import TrainConfig, one_of_several_ranks, train
+from tests.benchmarks.reconstruction.toys import LineLearner, line
+
+
+def train_rank(rank: int, world: int, port: int, steps: int, file: Path) -> None:
+    """Train as one rank of several, which meet at a store on ``port``, and write the first rank's weights."""
+    os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank), "WORLD_SIZE": str(world), "MASTER_PORT": str(port)}
+    os.environ |= {"MASTER_ADDR": "127.0.0.1", "TORCHELASTIC_USE_AGENT_STORE": "True"}
+    os.environ["TORCHELASTIC_RESTART_COUNT"] = "0"
+    torch.set_num_threads(1)
+    with one_of_several_ranks("cpu") as device:
+        found = train(LineLearner(), line(), TrainConfig(steps=steps, batch=8, lr=0.1), device=device)
+    if rank == 0:
+        torch.save(found.learner.state_dict(), file)
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -21,8 +21,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from benchmarks.cases.figures import Measured
-from benchmarks.report import report_text
+from benchmarks.cases import CaseResult
+from benchmarks.run import report_text
 from gcd_dataset.errors import GcdError
 from tests.fuzz.inputs import EXPENSIVE, edited, expensive, mutated
 from tests.fuzz.readers import DOCUMENTS, READERS, Reader
@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print("\n".join(faults[:200]))
     if options.report:
         command = ["tests.fuzz.campaign", "--examples", str(options.examples)]
-        options.report.write_text(report_text("robustness", ABOUT, Measured([], rows), command))
+        options.report.write_text(report_text("robustness", ABOUT, CaseResult([], rows), command))
     return 1 if faults else 0
 
 

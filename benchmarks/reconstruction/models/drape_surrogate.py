@@ -23,7 +23,7 @@ from benchmarks.reconstruction.learners import Learner, sizes_from, squared_dist
 from benchmarks.reconstruction.surface_net import FREQUENCIES, SurfaceNet, SurfaceNetConfig, mlp, of_neighbours, waves
 from benchmarks.reconstruction.surfaces import (
     METRE,
-    Surface,
+    SurfaceArrays,
     SurfaceBatch,
     SurfaceStore,
     drawn_turn,
@@ -259,7 +259,7 @@ def _mesh_of(garments: GarmentSet, k: int) -> tuple[np.ndarray, np.ndarray, np.n
     return ragged["box"][k], ragged["faces"][k], lengths
 
 
-def _prepared(tokens: int, mesh: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Surface:
+def _prepared(tokens: int, mesh: tuple[np.ndarray, np.ndarray, np.ndarray]) -> SurfaceArrays:
     vertices, faces, lengths = mesh
     return surface_of(vertices, faces, clusters=tokens, lengths=lengths)
 

@@ -21,9 +21,9 @@ from torch.nn import functional
 from benchmarks.reconstruction.derived import CENTRE, MIRRORED, MIRRORED_EDGES, PANEL_CLASSES, POINT_LABELS
 from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, sizes_from, uploaded
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, encoded_by, sizes_from, uploaded
 from benchmarks.reconstruction.panel_targets import UNIT, scaled_points
-from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig, PointTokens, require_tokens
+from benchmarks.reconstruction.point_net import EncoderConfig, PointTokens, require_tokens
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.tensors import EDGE_LABELS
@@ -71,7 +71,7 @@ class Designs(DesignTargets):
 
 @dataclass(frozen=True)
 class ToDesigns:
-    """From garments with the field ``design`` to their ``Designs``, on a CPU."""
+    """Encodes garments that have the field ``design`` as ``Designs``, on the CPU."""
 
     points: int
     labelled: bool
@@ -169,9 +169,8 @@ class ParameterNet(Learner[Designs, Pattern]):
         require_tokens(self.config, self.config.points, garments.points.shape[1])
         self.decoder.learn_range(garments)
         bare = replace(garments, points=garments.points[:, :0], ragged={"design": garments.ragged["design"]})
-        parts = (bare.select(range(k, min(k + CHUNK, len(bare)))) for k in range(0, len(bare), CHUNK))
         targets = replace(self.encoder(), labelled=False)  # labels are joined below, not sent between processes
-        whole = Designs.join(list(parallel_map(targets, parts, workers))).to(device)
+        whole = encoded_by(targets, bare, workers).to(device)
         points = scaled_points(garments.points[:, : self.config.stored_points], device)
         whole = replace(whole, points=points, labels=self.encoder().labels(garments).to(device))
         return DrawnDesigns(whole, self.config.points, bool(self.config.augmented))

@@ -15,9 +15,9 @@ from torch import Tensor
 from benchmarks.reconstruction.derived import MIRRORED_PIXELS, PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, sizes_from, uploaded
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, encoded_by, sizes_from, uploaded
 from benchmarks.reconstruction.picture_model import DrawnPictures, PictureTokens, pictures_of, require_views
-from benchmarks.reconstruction.point_net import CHUNK, EncoderConfig
+from benchmarks.reconstruction.point_net import EncoderConfig
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
@@ -86,8 +86,7 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPictures[PictureDesigns]:
         """Pictures and targets. The first set prepared, the training set, gives the range of the measures."""
         self.decoder.learn_range(garments)
-        parts = (garments.select(range(k, min(k + CHUNK, len(garments)))) for k in range(0, len(garments), CHUNK))
-        return self.drawn_from(PictureDesigns.join(list(parallel_map(encoded, parts, workers))).to(device))
+        return self.drawn_from(encoded_by(encoded, garments, workers).to(device))
 
     def drawn_from(self, encoded: TensorExamples) -> DrawnPictures[PictureDesigns]:
         return (MirroredPictures if self.augmented else DrawnPictures)(cast(PictureDesigns, encoded), self.views)

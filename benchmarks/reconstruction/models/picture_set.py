@@ -6,7 +6,6 @@ Convolutions and attention turn the pictures into tokens (``picture_model``); pa
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any, cast
 
 import torch
@@ -15,13 +14,12 @@ from torch import Tensor
 
 from benchmarks.reconstruction.derived import PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, sizes_from
+from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, encoded_by, sizes_from
 from benchmarks.reconstruction.models.panel_set import HEADS, LEAST, answers_of, set_loss
 from benchmarks.reconstruction.panel_net import NetConfig
-from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
+from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_by, patterns_from
 from benchmarks.reconstruction.picture_model import DrawnPictures, PictureNet, pictures_of, require_views
 from gcd_dataset.records import Pattern
-from gcd_dataset.workers import parallel_map
 
 TASKS = ("T2",)
 USUAL: Mapping[str, Any] = {"batch": 128, "lr": 5e-4}
@@ -37,8 +35,6 @@ SMALL: Mapping[str, Any] = {
     "edge_layers": 1, "seam_layers": 1, "views": 2, "seen": 0,
 }  # fmt: skip
 """Sizes of the usual and of the smallest network."""
-CHUNK = 64  # garments that a process encodes at once
-TOGETHER = 8  # garments that a process draws at once
 
 
 @dataclass(frozen=True)
@@ -54,19 +50,20 @@ class PictureTargets(PanelTargets):
 class PictureSet(Learner[PictureTargets, Pattern]):
     """Pictures to a pattern."""
 
-    def __init__(self, config: NetConfig, *, views: int = PICTURES) -> None:
+    def __init__(self, config: NetConfig, *, views: int = PICTURES, size: int = PICTURE_SIZE) -> None:
         """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees.
+
+        ``size``: width and height of the pictures [pixels].
 
         Raises ``ConfigError`` for a number of pictures that garments do not have.
         """
         super().__init__()
         self.views = require_views(views)
-        self.net = PictureNet(config, views=views, size=PICTURE_SIZE, seen=config.seen)
+        self.net = PictureNet(config, views=views, size=size, seen=config.seen)
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPictures[PictureTargets]:
         """Pictures and targets of the garments."""
-        parts = (garments.select(range(k, min(k + CHUNK, len(garments)))) for k in range(0, len(garments), CHUNK))
-        return self.drawn_from(PictureTargets.join(list(parallel_map(self.encoder(), parts, workers))).to(device))
+        return self.drawn_from(encoded_by(self.encoder(), garments, workers).to(device))
 
     def drawn_from(self, encoded: TensorExamples) -> DrawnPictures[PictureTargets]:
         return DrawnPictures(cast(PictureTargets, encoded), self.views)
@@ -89,10 +86,7 @@ class PictureSet(Learner[PictureTargets, Pattern]):
     def answers(
         self, examples: Examples[PictureTargets], count: int, *, batch: int, workers: int = 0
     ) -> Iterator[Pattern]:
-        rows = torch.split(torch.arange(count), batch)
-        said = PanelTargets.join([self._said(examples.batch(part)).to(torch.device("cpu")) for part in rows])
-        parts = (said[k : k + TOGETHER] for k in range(0, count, TOGETHER))
-        return chain.from_iterable(parallel_map(patterns_from, parts, workers))
+        return patterns_by(self._said, examples, count, batch=batch, workers=workers)
 
     def _said(self, batch: PictureTargets) -> PanelTargets:
         with torch.no_grad():
@@ -101,7 +95,7 @@ class PictureSet(Learner[PictureTargets, Pattern]):
 
 @dataclass(frozen=True)
 class ToPictureTargets:
-    """From garments to their ``PictureTargets``, on a CPU."""
+    """Encodes garments as ``PictureTargets``, on the CPU."""
 
     to_targets: ToTargets
 

@@ -22,7 +22,7 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner, sizes_from
 from benchmarks.reconstruction.surface_net import LAYER_OPTIONS, SurfaceNet, SurfaceNetConfig, mlp
 from benchmarks.reconstruction.surfaces import (
-    Surface,
+    SurfaceArrays,
     SurfaceBatch,
     SurfaceStore,
     cloud_of,
@@ -182,14 +182,14 @@ class LabelledSurfaces:
         return LabelBatch(surface, **labels)
 
 
-def _prepared(tokens: int, with_edges: bool, mesh: tuple[np.ndarray, np.ndarray]) -> Surface:
+def _prepared(tokens: int, with_edges: bool, mesh: tuple[np.ndarray, np.ndarray]) -> SurfaceArrays:
     if with_edges:
         return surface_of(*mesh, clusters=tokens)
     return cloud_of(mesh[0].astype(float), vertex_normals(*mesh), clusters=tokens)
 
 
 class _Members:
-    """Which vertex has which labels, as pairs on a device."""
+    """Pairs of vertex and label, on a device."""
 
     def __init__(self, tables: Sequence[Bool[np.ndarray, "v n"]], device: torch.device) -> None:
         pairs = [np.argwhere(table) for table in tables]

@@ -14,10 +14,8 @@ points of subdivision (``cuts``), which then move to agree with the lengths of t
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -45,6 +43,7 @@ from benchmarks.reconstruction.stitching.merging import glued, merged, split, su
 from benchmarks.reconstruction.stitching.sewing import Subdivision, sew
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
+from gcd_dataset.workers import parallel_map
 
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 8e-4}
 """Options of a training on a GPU."""
@@ -93,7 +92,7 @@ class StitchConfig:
 
 
 @dataclass(frozen=True)
-class Scores:
+class StitchLogits:
     """Logits of a round."""
 
     pairs: Float[Tensor, "b e e"]
@@ -101,7 +100,7 @@ class Scores:
     free: Float[Tensor, "b e"]
     right_wrong: Float[Tensor, "b e e"]
     cuts: Float[Tensor, "b e bins"]
-    """That a bin of the edge contains a point of subdivision."""
+    """Logits: does a bin of the edge contain a point of subdivision?"""
     cut_offsets: Float[Tensor, "b e bins"]
     """Position within the bin, in [0, 1]."""
 
@@ -111,7 +110,7 @@ class Scores:
 
 
 class StitchNet(nn.Module):
-    """Edges, and the seams known so far, to ``Scores``."""
+    """Edges, and the seams known so far, to ``StitchLogits``."""
 
     def __init__(self, config: StitchConfig) -> None:
         super().__init__()
@@ -130,7 +129,7 @@ class StitchNet(nn.Module):
         self.side = nn.Linear(width, config.pair_width)
         self.judge = _mlp(config.pair_width, config.pair_width, 2)
 
-    def forward(self, batch: EdgeBatch, known: Int[Tensor, "b e"]) -> Scores:
+    def forward(self, batch: EdgeBatch, known: Int[Tensor, "b e"]) -> StitchLogits:
         """``known``: partners of the edges that are already sewn, -1 for the others."""
         return self.scores(self.inputs(batch), known)
 
@@ -138,7 +137,7 @@ class StitchNet(nn.Module):
         """The network's inputs that do not depend on the known seams."""
         return EdgeInputs.of(batch)
 
-    def scores(self, seen: EdgeInputs, known: Int[Tensor, "b e"]) -> Scores:
+    def scores(self, seen: EdgeInputs, known: Int[Tensor, "b e"]) -> StitchLogits:
         """The scores of a batch, given its ``inputs``."""
         config, valid = self.config, seen.valid
         # A lookup in a table of two rows; its gradient needs no sort.
@@ -150,7 +149,7 @@ class StitchNet(nn.Module):
             edges = block(edges, bias)
         return self._scores(self.norm(edges), related, valid, known)
 
-    def _scores(self, edges: Tensor, related: Tensor, valid: Tensor, known: Tensor) -> Scores:
+    def _scores(self, edges: Tensor, related: Tensor, valid: Tensor, known: Tensor) -> StitchLogits:
         with torch.autocast(edges.device.type, enabled=False):  # bfloat16 would round logits to steps of 0.1
             keys = self.key(edges.float())
             pairs = keys @ keys.transpose(1, 2) / math.sqrt(keys.shape[-1])
@@ -162,7 +161,7 @@ class StitchNet(nn.Module):
         itself = torch.eye(pairs.shape[1], dtype=torch.bool, device=pairs.device)
         allowed = possible[:, :, None] & possible[:, None] & ~itself
         cuts, offsets = self.cut(edges).chunk(2, dim=-1)
-        return Scores(
+        return StitchLogits(
             pairs=torch.where(allowed, pairs.float(), NEVER),
             free=self.free(edges)[..., 0].float(),
             right_wrong=wrong.float(),
@@ -240,7 +239,7 @@ def edge_noise(seeds: Int[Tensor, " r"], count: int) -> Float[Tensor, "r e"]:
     return (((mixed >> 16) ^ mixed) >> 8).float() / 2**24
 
 
-def stitch_loss(scores: Scores, batch: EdgeBatch, known: Int[Tensor, "b e"]) -> dict[str, tuple[Tensor, Tensor]]:
+def stitch_loss(scores: StitchLogits, batch: EdgeBatch, known: Int[Tensor, "b e"]) -> dict[str, tuple[Tensor, Tensor]]:
     """Sums and counts of the loss terms by name.
 
     An edge without a partner in a garment with joined edges may be sewn to several: its choice is not counted.
@@ -319,7 +318,7 @@ class StitchExamples:
     """
 
     graphs: PackedGraphs
-    """As many rows for each garment as there are variants."""
+    """One row per variant of each garment."""
     arrays: tuple[Arrays, ...]
     """The garments' patterns."""
     config: StitchConfig
@@ -399,12 +398,7 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
     def examples(self, patterns: Sequence[Arrays], *, device: torch.device, workers: int = 0) -> StitchExamples:
         """The graphs of patterns, given as arrays, and of their variants."""
         jobs = [(number, arrays, self.net.config.foreign > 0) for number, arrays in enumerate(patterns)]
-        if workers > 1:
-            with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-                found = list(pool.map(_variants, jobs, chunksize=32))
-        else:
-            found = [_variants(job) for job in jobs]
-        graphs = [graph for variants in found for graph in variants]
+        graphs = [graph for variants in parallel_map(_variants, jobs, workers) for graph in variants]
         return StitchExamples(PackedGraphs.of(graphs).to(device), tuple(patterns), self.net.config)
 
     def of_one_shape(self, examples: Examples[StitchBatch]) -> StitchExamples:

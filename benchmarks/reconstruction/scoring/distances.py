@@ -61,7 +61,7 @@ class Cloud:
     tree: cKDTree
     normals: Float[np.ndarray, "n 3"]
     reach: Float[np.ndarray, " n"]
-    """How far the plane of each point reaches: the distance of its neighbours [cm]."""
+    """Radius of the plane of each point: the distance of its neighbours [cm]."""
 
     @staticmethod
     def of(points: Float[np.ndarray, "n 3"]) -> "Cloud":

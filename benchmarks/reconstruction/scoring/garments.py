@@ -25,7 +25,7 @@ MOST_NAMES = 5  # most names listed in a message
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class GarmentPair:
     """One test garment."""
 
     name: str
@@ -38,7 +38,7 @@ class Case:
 class Folders:
     """The test garments of two folders."""
 
-    cases: tuple[Case, ...]
+    cases: tuple[GarmentPair, ...]
     """All garments of the folder of true patterns, by name."""
     unknown: tuple[str, ...]
     """Predictions without a true pattern."""
@@ -64,7 +64,7 @@ def match_folders(predictions: Path, truth: Path) -> Folders:
             f"{predictions}: no file is named as one of {truth}: it holds {listed(list(predicted))}, the other "
             f"{listed(list(true))}{_in_capitals(predicted, true)}: name each prediction after its garment"
         )
-    cases = tuple(Case(name, path, predicted.get(name)) for name, path in sorted(true.items()))
+    cases = tuple(GarmentPair(name, path, predicted.get(name)) for name, path in sorted(true.items()))
     return Folders(cases, tuple(sorted(predicted.keys() - true.keys())))
 
 
@@ -130,12 +130,12 @@ class Scored:
     """Parts that could not be measured, with the reason."""
 
 
-def score_cases(cases: Iterable[Case], *, workers: int = 1, spacing: float = SPACING) -> Iterator[Scored]:
+def score_cases(cases: Iterable[GarmentPair], *, workers: int = 1, spacing: float = SPACING) -> Iterator[Scored]:
     """The scores of test garments, in order, computed by ``workers`` processes; see ``score_case``."""
     return parallel_map(partial(score_case, spacing=spacing), cases, workers)
 
 
-def score_case(case: Case, *, spacing: float = SPACING) -> Scored:
+def score_case(case: GarmentPair, *, spacing: float = SPACING) -> Scored:
     """The scores of a test garment; a prediction that is missing or cannot be read gets the worst.
 
     Raises ``SpecError`` or ``PatternError`` for a true pattern that cannot be read or has an open outline.
@@ -214,7 +214,7 @@ def _require_size(pattern: Pattern) -> None:
         raise PatternError(next(str(fault) for fault in check_pattern(pattern) if fault.rule in SIZES))
 
 
-def _read_true(case: Case) -> Pattern:
+def _read_true(case: GarmentPair) -> Pattern:
     try:
         true = read_pattern(case.true)
         for panel in true.panels:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from benchmarks.reconstruction.scoring.garments import Scored
 
 REPORT = "report.json"
-"""In the folder of ``train --out``: mean scores, options, and hashes of the data."""
+"""File in the folder of ``train --out``: mean scores, options, hashes of the data."""
 SCORES = "scores.csv"
 """There: a row of scores for each test garment."""
 EVALUATION = "evaluation.json"

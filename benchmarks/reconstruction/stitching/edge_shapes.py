@@ -1,4 +1,4 @@
-"""What a network sees of the edges of a pattern and of their pairs: lengths, curves, corners and neighbours.
+"""A network's features of edges and of pairs of edges: lengths, curves, corners and neighbours.
 
 No number depends on where a panel is drawn or how it is turned, nor on the order of the edges.
 """
@@ -172,7 +172,7 @@ def rows_at(values: Float[Tensor, "b e k"], rows: Int[Tensor, "b e"]) -> Float[T
 
 
 def _is_row(rows: Int[Tensor, "b e k"]) -> Float[Tensor, "b e e k"]:
-    """For each edge and row, whether the row is one of ``rows``, each apart; -1 is none."""
+    """One-hot codes of ``rows`` over the rows of the garment; zeros for -1."""
     columns = torch.arange(rows.shape[1], device=rows.device)
     return (rows[:, :, None] == columns[:, None]).float()
 

@@ -234,7 +234,7 @@ def ordered(parts: Sequence[Part], counts: Int[Tensor, " b"], shares: Float[Tens
 
 
 def shares_above(counts: Int[Tensor, "n v"], chances: Sequence[float]) -> tuple[float, ...]:
-    """For each multiple of 8, the chance that a garment has more edges, given its variants' counts and chances."""
+    """Probability that a garment has more edges than each multiple of 8, by its variants' counts and chances."""
     widths = torch.arange(ALIGNMENT, aligned(int(counts.max())) + 1, ALIGNMENT)
     above = torch.stack([(counts > width).double().mean(dim=0) for width in widths])
     return tuple((above @ torch.tensor(chances, dtype=torch.double)).tolist())

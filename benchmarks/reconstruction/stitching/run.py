@@ -3,7 +3,8 @@
     python -m benchmarks.reconstruction.stitching.run --train 24000 --workers 16 --out runs/stitches
     python -m benchmarks.reconstruction.stitching.run --smoke --out runs/smoke
 
-The patterns are those of ``tasks``: training and test set share no design and no body. ``--data`` keeps them.
+Options are those of ``train``. Without ``--steps`` and ``--minutes`` it trains for 6 minutes; without ``--data`` the
+patterns are kept in the output folder. They are those of ``tasks``: training and test set share no design and no body.
 With ``--leave-out`` the test patterns are of that kind of garment, and none of the training patterns.
 ``report.json`` holds three tables: one to one (subdivided as drawn), n to m (edges joined wherever possible, scored on
 the seams of the parts) and, with ``--examples``, the specifications of a folder.
@@ -11,21 +12,18 @@ the seams of the parts) and, with ``--examples``, the specifications of a folder
 
 import argparse
 import json
-import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, astuple, fields, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import torch
 
-from benchmarks.reconstruction.learners import sizes_from
-from benchmarks.reconstruction.models.stitches import LEAST, StitchConfig, StitchExamples, StitchLearner
+from benchmarks.reconstruction.judging import means_of
+from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner, build
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.merging import Merged, merged
 from benchmarks.reconstruction.stitching.scores import (
@@ -36,13 +34,14 @@ from benchmarks.reconstruction.stitching.scores import (
     score_stitches,
 )
 from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew, sew_in_ways
-from benchmarks.reconstruction.tasks import TASKS, TEST_SEED
-from benchmarks.reconstruction.train import UNFINISHED
-from benchmarks.reconstruction.training import StoppedError, TrainConfig, train, training_device
-from gcd_dataset.errors import ConfigError, GcdError, PatternError
+from benchmarks.reconstruction.tasks import TEST_SEED
+from benchmarks.reconstruction.train import Options, exit_code, load_split, options_from, require_usable, trained_by
+from benchmarks.reconstruction.train import add_arguments as add_training_arguments
+from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.records import Pattern
 from gcd_dataset.spec import read_pattern, write_pattern
+from gcd_dataset.workers import parallel_map
 
 Score = TypeVar("Score", StitchScore, IntervalScore)
 
@@ -51,6 +50,18 @@ CHECKED = 100  # patterns that choose how edges are subdivided; at most a quarte
 WATCHED = 32  # of these: patterns that are scored during the training
 CUT_LOGITS = (0.0, -0.7, -1.4, -2.1, -2.8)  # log-odds of points of subdivision that are tried
 MINUTES = 6.0  # of a training without --steps
+USUAL: Mapping[str, Any] = {
+    "task": "T3", "train": 24_000, "test": 500, "checks": 8, "batch": 256, "lr": 8e-4, "workers": 0,
+}  # fmt: skip
+"""Defaults of the options of ``train``."""
+SIZES: Mapping[str, str] = {
+    "width": "features of an edge",
+    "heads": "heads of a layer",
+    "layers": "layers",
+    "pair_width": "features of a pair of edges",
+    "foreign": "share of the training patterns that are subdivided as another source might, at most 0.25",
+}
+"""Fields of ``StitchConfig`` that are options."""
 SMOKE: dict[str, Any] = {
     "train": 200, "test": 32, "minutes": 0.4, "batch": 16, "width": 96, "heads": 4, "layers": 4, "pair_width": 32,
 }  # fmt: skip
@@ -61,15 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_arguments(parser)
     args = parsed(parser, arguments)
-    try:
-        run(args)
-    except StoppedError as stopped:
-        _say(f"stitching.run: {stopped}")
-        return UNFINISHED
-    except GcdError as error:
-        _say(f"stitching.run: {error}")
-        return 1
-    return 0
+    return exit_code("stitching.run", lambda: run(args))
 
 
 def run(args: argparse.Namespace) -> None:
@@ -77,42 +80,29 @@ def run(args: argparse.Namespace) -> None:
 
     Raises ``ConfigError`` for unusable options, and ``StoppedError`` for a training that the time limit ends.
     """
-    device = torch.device(training_device(args.device))
-    config, sizes = configs_from(args)
+    options, began = options_of(args), time.perf_counter()
+    require_usable(options)
     if args.examples and not Path(args.examples).is_dir():
         raise ConfigError(f"--examples {args.examples}: no such folder: give one of specification files")
-    out, began = make_folder(Path(args.out)), time.perf_counter()
-    data = make_folder(Path(args.data) if args.data else out / "data")
-    split = TASKS["T3"].load(
-        args.train, data=data, workers=args.workers, tested=args.test, checked=min(CHECKED, max(1, args.test // 4))
-    )
-    if args.leave_out:
-        split = split.without(args.leave_out)
-    if args.make_only:
+    out, device = make_folder(options.out), torch.device(options.device)
+    split = load_split(options, checked=min(CHECKED, max(1, options.test // 4)))
+    if options.make_only:
         print(f"{len(split.train)} patterns to train on, {len(split.test)} to test on")
         return
-    learner = StitchLearner(sizes)
+    torch.manual_seed(options.config.seed)
+    learner = build(smoke=False, options=options.sizes)
     tests, watched = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
-
-    def prepared() -> StitchExamples:
-        examples = learner.prepare(split.train, device=device, workers=args.workers)
-        _say(f"{len(examples)} patterns prepared after {time.perf_counter() - began:.0f} s, on {device}")
-        return examples
 
     def check(step: int, current: Any) -> Mapping[str, float]:
         some = watched[:WATCHED]
         scores = [_score(true, own) for true, own in zip(some, sew(current.net, some), strict=True)]
-        return {f"check_{name}": value for name, value in _means(scores).items()}
+        return {f"check_{name}": value for name, value in means_of(scores).items()}
 
-    of = {name: getattr(args, name) for name in ("one_round", "leave_out", "foreign")}
-    of |= {"sizes": json.dumps(asdict(learner.net.config), sort_keys=True), "patterns": split.train.patterns_hash}
-    limit = 60 * args.limit_minutes - (time.perf_counter() - began) if args.limit_minutes else math.inf
-    arguments: dict[str, Any] = {"device": device, "out": out, "check": check, "limit": limit, "of": of}
-    trained = train(learner, prepared, config, **arguments)
+    trained, _ = trained_by(options, learner, split, device, check=check, begun=began)
     best = trained.learner
     assert isinstance(best, StitchLearner)
     report = {
-        "arguments": vars(args) | {"minutes": config.minutes},
+        "arguments": vars(args) | {"minutes": options.config.minutes},
         "data": {
             name: {"count": len(part), "patterns": part.patterns_hash, "ids": part.ids_hash}
             for name, part in (("train", split.train), ("test", split.test))
@@ -122,7 +112,7 @@ def run(args: argparse.Namespace) -> None:
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
         "steps": trained.steps,
         "train_s": round(trained.seconds, 1),
-        **evaluate(best, tests, out, args.workers, calibrated(best, watched), kinds=split.test.kinds),
+        **evaluate(best, tests, out, options.workers, calibrated(best, watched), kinds=split.test.kinds),
     }
     if args.examples:
         report["foreign"] = foreign(best, Path(args.examples))
@@ -132,35 +122,15 @@ def run(args: argparse.Namespace) -> None:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a run."""
-
-    def option(name: str, default: Any, text: str) -> None:
-        parser.add_argument(name, type=type(default), default=default, help=f"{text} ({default})")
-
-    parser.add_argument("--out", required=True, help="folder of the checkpoint, curves and report")
-    parser.add_argument("--smoke", action="store_true", help="200 patterns, a minute on two CPU cores")
-    parser.add_argument("--make-only", action="store_true", help="draw the patterns of --data, then stop")
+    """Add the options of ``train``, with other defaults, and those of the network."""
+    add_training_arguments(parser)
+    parser.set_defaults(**USUAL)
     parser.add_argument("--one-round", action="store_true", help="predict all seams at once")
-    parser.add_argument("--compile", action="store_true", help="record the step on a GPU, which then takes less time")
-    option("--train", 24_000, "patterns to train on")
-    option("--test", 500, "patterns to test on, of another seed")
-    option("--seed", 0, "seed of the network and the order")
-    option("--minutes", 0.0, f"time of the training; {MINUTES:g} without --steps")
-    option("--steps", 0, "optimiser steps")
-    option("--limit-minutes", 0.0, "time of this call; a repeated call continues from the checkpoint; 0: no limit")
-    option("--leave-out", "", "kind of garment to test on, and not to train on: dress, skirt, …")
-    option("--batch", 256, "patterns of a step")
-    option("--lr", 8e-4, "highest learning rate")
-    option("--width", 256, "features of an edge")
-    option("--heads", 8, "heads of a layer")
-    option("--layers", 8, "layers")
-    option("--pair-width", 48, "features of a pair of edges")
-    option("--foreign", 0.0, "share of the training patterns that are subdivided as another source might, at most 0.25")
-    option("--workers", 0, "processes that draw patterns")
-    option("--checks", 8, "scorings on the way")
-    option("--device", "auto", "auto, cpu or cuda:0")
-    option("--data", "", "folder of the patterns; by default in the output folder")
-    option("--examples", "", "folder whose specifications are scored, too")
+    for name, text in SIZES.items():
+        usual = getattr(StitchConfig(), name)
+        flag = f"--{name.replace('_', '-')}"
+        parser.add_argument(flag, type=type(usual), default=usual, help=f"{text} ({usual})")
+    parser.add_argument("--examples", default="", help="folder whose specifications are scored, too")
 
 
 def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -173,18 +143,15 @@ def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> 
     return parser.parse_args(arguments)
 
 
-def configs_from(args: argparse.Namespace) -> tuple[TrainConfig, StitchConfig]:
+def options_of(args: argparse.Namespace) -> Options:
     """The options of the training and of the network. Raises ``ConfigError`` for unusable options."""
-    names = ("steps", "batch", "lr", "seed", "checks", "compile")
-    minutes = args.minutes or (0.0 if args.steps else MINUTES)
-    config = TrainConfig(minutes=minutes, **{name: getattr(args, name) for name in names})
-    for name, least in (("train", 1), ("test", 1), ("seed", 0), ("workers", 0), ("limit_minutes", 0)):
-        if not least <= getattr(args, name) < math.inf:
-            raise ConfigError(f"--{name.replace('_', '-')} {getattr(args, name)}: give {least} or more")
-    given = {name: getattr(args, name) for name in ("width", "heads", "layers", "pair_width", "foreign")}
-    given |= {"rounds": 1} if args.one_round else {}
-    sizes, _ = sizes_from("stitches", StitchConfig, given, least=LEAST, heads={"width": "heads"})
-    return config, sizes
+    if args.task != "T3":
+        raise ConfigError(f"--task {args.task}: leave it out, these are stitches of T3")
+    changes = {"smoke": False, "minutes": args.minutes or (0.0 if args.steps else MINUTES)}
+    changes["data"] = args.data or str(Path(args.out) / "data")
+    options = options_from(argparse.Namespace(**{**vars(args), **changes}), "stitches")
+    sizes = {name: getattr(args, name) for name in SIZES} | ({"rounds": 1} if args.one_round else {})
+    return replace(options, sizes={**sizes, **options.sizes})
 
 
 # ----------------------------------------------------------------------------------------------------------- the scores
@@ -237,24 +204,19 @@ def evaluate(
     write(out / "several" / "predictions", parted)
     write(out / "several" / "truth", [entry.parts for entry in joined])
     pairs = [list(zip(patterns, answers, strict=True)) for answers in (ours, at_once, greedy)]
-    if workers > 1:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            scores, first, floor = (list(pool.map(_scored, some, chunksize=16)) for some in pairs)
-            several = list(pool.map(_interval_scored, zip(joined, parted, strict=True), chunksize=16))
-    else:
-        scores, first, floor = ([_scored(pair) for pair in some] for some in pairs)
-        several = [_interval_scored(pair) for pair in zip(joined, parted, strict=True)]
+    scores, first, floor = (list(parallel_map(_scored, some, workers)) for some in pairs)
+    several = list(parallel_map(_interval_scored, zip(joined, parted, strict=True), workers))
     several_of = {entry.parts.name: score for entry, score in zip(joined, several, strict=True)}
     return {
         "one_to_one": _table(scores),
-        "scores_of_kinds": {kind: _means(own) for kind, own in _by_kind(kinds, scores).items()},
+        "scores_of_kinds": {kind: means_of(own) for kind, own in _by_kind(kinds, scores).items()},
         "several_of_kinds": {
-            kind: {"garments": len(own), **_means(own)}
+            kind: {"garments": len(own), **means_of(own)}
             for kind, own in _by_kind(kinds, [several_of.get(pattern.name) for pattern in patterns]).items()
         },
         "one_round": _table(first),
         "faultless_by_shape": _table([_moved_truth(pattern, rng) for pattern in patterns]),
-        "greedy_by_length": _means(floor),
+        "greedy_by_length": means_of(floor),
         "several": _table(several),
         "subdivision": asdict(way),
         "ms_a_pattern": 1e3 * seconds / len(patterns),
@@ -316,11 +278,6 @@ def _by_kind(kinds: Sequence[str], scores: Sequence[Score | None]) -> dict[str, 
     return found
 
 
-def _means(scores: Sequence[Score]) -> dict[str, float]:
-    means = np.mean([astuple(score) for score in scores], axis=0).tolist()
-    return dict(zip((field.name for field in fields(scores[0])), means, strict=True))
-
-
 def _table(scores: Sequence[Score]) -> dict[str, Any]:
     """Means with 95 % bootstrap intervals; empty for no garments."""
     if not scores:
@@ -331,10 +288,6 @@ def _table(scores: Sequence[Score]) -> dict[str, Any]:
     names = [field.name for field in fields(scores[0])]
     rows = zip(names, values.mean(axis=0), low, high, strict=True)
     return {"garments": len(scores)} | {name: [round(float(v), 4) for v in (mean, a, b)] for name, mean, a, b in rows}
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

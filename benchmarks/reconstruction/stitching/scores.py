@@ -25,7 +25,7 @@ CONGRUENT = 0.05  # cm: largest distance of points of congruent outlines
 PASSES = 4  # of the local search
 
 Turns = dict[tuple[int, int], list[int]]
-"""For two panels, the shifts s for which edge k of the first lies on edge k + s of the second."""
+"""The shifts s of pairs of panels for which edge k of the first lies on edge k + s of the second."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ ALIGNED = 0.04  # a cut moves by at most this share of the length to agree with 
 
 @dataclass(frozen=True, slots=True)
 class Subdivision:
-    """How the points are chosen at which edges are subdivided."""
+    """Options of the choice of points at which edges are subdivided."""
 
     logit: float = 0.0
     """Points of a greater log-odds are taken."""

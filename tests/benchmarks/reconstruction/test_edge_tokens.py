@@ -1,13 +1,11 @@
 """The edge token network: its order and sequence, that answers are closed, that the cache changes nothing, and that it
 learns."""
 
-import pickle
 from collections.abc import Callable
 from dataclasses import fields, replace
 
 import pytest
 import torch
-from torch._subclasses.fake_tensor import FakeTensorMode
 
 from benchmarks.reconstruction.edge_sequence import (
     CLOSING_CURVE,
@@ -23,8 +21,6 @@ from benchmarks.reconstruction.edge_sequence import (
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.edge_tokens import EdgeTokens, build, decode
 from benchmarks.reconstruction.panel_targets import PanelTargets, patterns_from
-from benchmarks.reconstruction.training import TrainConfig, train
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.metrics import score_pattern
 from tests.benchmarks.reconstruction.conftest import shuffled, started_elsewhere
@@ -52,11 +48,6 @@ def targets(six: GarmentSet) -> PanelTargets:
     return learner().prepare(six, device=CPU).whole
 
 
-def loss_of(network: EdgeTokens, true: PanelTargets) -> float:
-    with torch.no_grad():
-        return float(sum(part.item() for part in network.loss(true).values()))
-
-
 # ------------------------------------------------------------------------------------------------ order and sequence
 
 
@@ -78,20 +69,6 @@ def test_the_garment_remains_the_same_in_canonical_order(targets: PanelTargets, 
         score = score_pattern(pattern, six.pattern(k))
         assert (score.topology_exact, score.garment_perfect) == (1, 1)
         assert score.iou > 0.99
-
-
-def test_edges_follow_each_other_in_the_order_of_panels_and_loops(targets: PanelTargets) -> None:
-    slots = targets.corners.shape[2]
-    for row in range(len(targets)):
-        known = targets.edge_panels[row] >= 0
-        count = int(known.sum())
-        assert known[:count].all()
-        number = targets.edge_panels[row, :count].long() * slots + targets.edge_slots[row, :count]
-        assert (number.diff() > 0).all()
-        partners = targets.partners[row, :count].long()
-        sewn = torch.nonzero(partners >= 0)[:, 0]
-        assert len(sewn)
-        assert torch.equal(partners[partners[sewn]], sewn)
 
 
 def triangle_and_square() -> PanelTargets:
@@ -130,14 +107,6 @@ def test_a_sequence_has_a_token_for_each_panel_and_edge() -> None:
     assert sequence.known.tolist() == [[True] * 11 + [False] * 3]
     assert sequence.at_panels[0, :2].tolist() == [1, 5]
     assert sequence.at_edges[0, :7].tolist() == [2, 3, 4, 6, 7, 8, 9]
-
-
-def test_edges_are_told_from_start_to_end() -> None:
-    true = triangle_and_square()
-    tokens = tokens_of(true, sequence_of(true))
-    assert tokens.start[0, :6].tolist() == [[0, 0], [0, 0], [0, 0], [1, 0], [0, 1], [2, 2]]
-    assert tokens.end[0, :6].tolist() == [[0, 0], [0, 0], [1, 0], [0, 1], [0, 0], [2, 2]]
-    assert tokens.centres[0, :, 1].tolist() == [0] * 5 + [1] * 5 + [0] * 4
 
 
 def test_the_canonical_order_of_a_hand_made_garment() -> None:
@@ -186,9 +155,7 @@ def test_cached_decoding_says_what_one_pass_says() -> None:
             assert torch.allclose(centre, answer.centres[garment, panel], atol=1e-3)
 
 
-@pytest.mark.parametrize(
-    "sizes", [{}, {"queries": 1, "slots": 3, "edges": 3}, {"queries": 3, "slots": 5, "edges": 10}, {"edges": 7}]
-)
+@pytest.mark.parametrize("sizes", [{}, {"queries": 3, "slots": 5, "edges": 10}])
 def test_every_answer_is_closed_and_within_the_sizes(sizes: dict[str, int]) -> None:
     network = undecided(**sizes)
     config = network.config
@@ -208,96 +175,7 @@ def test_every_answer_is_closed_and_within_the_sizes(sizes: dict[str, int]) -> N
         assert not [fault for fault in check_pattern(pattern) if fault.severity is Severity.ERROR]
 
 
-def test_an_answer_depends_on_its_own_garment_only() -> None:
-    network = learner().eval()
-    memory = torch.randn(3, 8, network.config.width)
-    with torch.no_grad():
-        whole, alone = decode(network.decoder, memory), decode(network.decoder, memory[1:2])
-    assert torch.equal(whole.edge_panels[1:2], alone.edge_panels)
-    assert torch.allclose(whole.corners[1:2], alone.corners, atol=1e-4)
-    assert not torch.allclose(whole.corners[:1], alone.corners, atol=1e-2)
-
-
-def test_edges_point_to_earlier_edges_only() -> None:
-    network = learner()
-    logits = network.decoder.partners(torch.randn(2, 5, network.config.width))
-    assert logits.shape == (2, 5, 6)
-    assert ((logits[..., :5] > -1e3) == torch.ones(5, 5).tril(-1).bool()).all()
-
-
 # ---------------------------------------------------------------------------------------------------------- the loss
 
 
-def test_a_step_waits_for_nothing_on_the_device(targets: PanelTargets) -> None:
-    """Fake tensors have no values: an operation that reads one raises."""
-    network = learner()
-    with FakeTensorMode(allow_non_fake_inputs=True) as mode:
-        batch = PanelTargets(*(mode.from_tensor(getattr(targets, field.name)) for field in fields(targets)))
-        parts = network.loss(batch.with_points(128, torch.Generator()))
-        torch.autograd.backward(torch.stack(list(parts.values())).sum())
-    assert all(part.shape == () for part in parts.values())
-
-
-def test_the_loss_in_bfloat16_is_that_in_float32(targets: PanelTargets) -> None:
-    network = learner().eval()
-    with torch.autocast("cpu", torch.bfloat16):
-        rough = network.loss(targets)
-    assert all(part.dtype == torch.float32 for part in rough.values())
-    exact = network.loss(targets)
-    for name, part in rough.items():
-        assert part.item() == pytest.approx(exact[name].item(), rel=0.05, abs=0.01), name
-
-
-def test_noise_is_fed_back_in_training_only(targets: PanelTargets) -> None:
-    network = learner()
-    assert loss_of(network, targets) != loss_of(network, targets)
-    assert loss_of(network.eval(), targets) == loss_of(network, targets)
-    assert loss_of(learner(noise_mm=0), targets) == pytest.approx(loss_of(network, targets), rel=1e-5)
-
-
-def test_rows_that_are_empty_in_all_garments_change_no_loss(six: GarmentSet) -> None:
-    network = learner().eval()
-    examples = network.prepare(six, device=CPU)
-    batch = examples.batch(torch.arange(6))
-    whole = replace(examples.whole, points=batch.points)
-    assert batch.edge_panels.shape[1] < whole.edge_panels.shape[1]
-    assert loss_of(network, batch) == pytest.approx(loss_of(network, whole), rel=1e-4)
-
-
-def test_a_garment_beyond_the_sizes_teaches_nothing(targets: PanelTargets) -> None:
-    network = learner(noise_mm=0)
-    gone = torch.arange(6)[:, None] == 0
-    empty = replace(
-        targets,
-        exists=targets.exists & ~gone,
-        edge_panels=torch.where(gone, -1, targets.edge_panels),
-        partners=torch.where(gone, -1, targets.partners),
-    )
-    assert loss_of(network, empty) == pytest.approx(loss_of(network, targets[1:]), rel=1e-4)
-
-
-def test_the_loss_falls(six: GarmentSet) -> None:
-    network = learner(tokens=16)
-    config = TrainConfig(steps=20, batch=6, lr=3e-3, log_every=5, weight_decay=0.0)
-    curve = train(network, network.prepare(six, device=CPU), config, device=CPU).curve
-    assert curve[-1]["loss"] < 0.8 * curve[0]["loss"]
-
-
 # -------------------------------------------------------------------------------------------------------- the options
-
-
-def test_workers_can_be_sent_the_encoder(six: GarmentSet, targets: PanelTargets) -> None:
-    encode = pickle.loads(pickle.dumps(learner().encoder()))
-    assert torch.equal(encode(six).corners, targets.corners)
-
-
-@pytest.mark.parametrize(
-    ("sizes", "expected"),
-    [
-        ({"slots": 2}, "slots 2, edges 96: give room for one panel of 3 edges"),
-        ({"tokens": 24}, "24 tokens of 128 points: give a power of 2"),
-    ],
-)
-def test_unusable_sizes_are_refused(sizes: dict[str, int], expected: str) -> None:
-    with pytest.raises(ConfigError, match=expected):
-        learner(**sizes)

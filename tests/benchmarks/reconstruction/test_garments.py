@@ -8,20 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial import cKDTree
 
 from benchmarks.reconstruction import garments
 from benchmarks.reconstruction.derived import CENTRE
 from benchmarks.reconstruction.garments import (
     GarmentSet,
-    Ragged,
     Split,
     fresh_garments,
     generated,
     read_folder,
     split_off,
 )
-from benchmarks.reconstruction.tasks import task_named
+from benchmarks.reconstruction.models import baselines
+from benchmarks.reconstruction.models.baselines import ceiling, nearest, typical
+from benchmarks.reconstruction.tasks import TASKS, task_named
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator import MakeConfig
 from gcd_dataset.generator.garments.overlay import Overlay
@@ -96,46 +98,8 @@ def test_a_stopped_call_keeps_the_garments_that_it_made(tmp_path: Path, monkeypa
     assert begun == [0, 4]
 
 
-def test_portions_are_written_once_and_a_lost_one_is_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(garments, "PORTION", 2)
-    whole = generated(5, 3, cache=tmp_path, **PATTERNS)
-    (folder,) = tmp_path.iterdir()
-    files = sorted(folder.iterdir())
-    assert [path.name for path in files] == ["000000000.npz", "000000002.npz", "000000004.npz"]
-    before = {path: path.stat().st_ino for path in files}  # a file that is written again is another one
-    assert len(generated(7, 3, cache=tmp_path, **PATTERNS)) == 7
-    assert {path: path.stat().st_ino for path in files} == before
-    files[1].unlink()
-    assert same(generated(5, 3, cache=tmp_path, **PATTERNS), whole)
-    assert same(generated(2, 3, cache=tmp_path, **PATTERNS), whole.select([0, 1]))
-
-
 def test_workers_make_the_same_set() -> None:
     assert same(generated(3, 0, workers=2, **PATTERNS), generated(3, 0, **PATTERNS))
-
-
-def test_drapes_that_workers_make_ahead_are_the_same_set() -> None:
-    # Each garment is draped alone, one after the other, or ahead of the reader by two workers.
-    options: dict[str, Any] = {"points": 64, "drape": "warp", "resolution": 8.0, "design": Overlay.from_dict(SKIRTS)}
-    options |= {"device": "cpu", "extra": ("pose", "verts")}
-    ahead, alone = generated(3, 0, workers=2, **options), generated(3, 0, **options)
-    assert same(ahead, alone)
-    assert all(np.array_equal(ahead.ragged["verts"][k], alone.ragged["verts"][k]) for k in range(len(alone)))
-
-
-def test_hashes_depend_on_the_patterns_and_their_order(six: GarmentSet) -> None:
-    assert six.select([0, 1]).patterns_hash != six.select([1, 0]).patterns_hash
-    assert six.select([0, 1]).ids_hash != six.select([1, 0]).ids_hash
-    assert six.select([0, 1]).ids_hash == GarmentSet.join([six.select([0]), six.select([1])]).ids_hash
-
-
-def test_ragged_arrays_are_selected_and_joined() -> None:
-    ragged = Ragged.of([np.arange(2), np.arange(0), np.arange(3)])
-    assert [len(ragged[k]) for k in range(len(ragged))] == [2, 0, 3]
-    both = Ragged.join([ragged.select(np.array([2])), ragged.select(np.array([], int)), ragged])
-    assert [both[k].tolist() for k in range(len(both))] == [[0, 1, 2], [0, 1], [], [0, 1, 2]]
 
 
 def numbered(designs: list[int], bodies: list[int], six: GarmentSet) -> GarmentSet:
@@ -155,11 +119,6 @@ def test_a_split_shares_neither_design_nor_body(six: GarmentSet) -> None:
     assert not set(split.train.bodies) & set(split.test.bodies)
     assert split.first(4).train.keys == split.train.keys[:4]
     assert split.first(4).test.keys == split.test.keys
-
-
-def test_designs_with_one_body_cannot_be_split(six: GarmentSet) -> None:
-    with pytest.raises(ConfigError, match="bodies of their own"):
-        split_off(numbered(list(range(6)), [0] * 6, six), 2)
 
 
 def test_a_shared_design_is_refused(six: GarmentSet) -> None:
@@ -231,3 +190,52 @@ def test_a_scan_shows_one_side_of_the_garment(tmp_path: Path) -> None:
     ours, theirs = scanned.points[0, :, :3].astype(float), whole.points[0, :, :3].astype(float)
     assert 0.2 < np.mean(cKDTree(ours).query(theirs)[0] < 3.0) < 0.8
     assert np.mean(cKDTree(theirs).query(ours)[0] < 6.0) > 0.95
+
+
+# ---------------------------------------------------------------------------------------------------------------- tasks
+
+
+COARSE: dict[str, Any] = {"resolution": 6.0, "design": SKIRTS}
+
+
+def test_tasks_are_named_by_their_numbers() -> None:
+    assert list(TASKS) == ["T0", "T1", "T1-scan", *(f"T{k}" for k in range(2, 8))]
+    assert all(task.name == name for name, task in TASKS.items())
+    with pytest.raises(ConfigError, match="no task 'T9': choose one of T0, T1"):
+        task_named("T9")
+
+
+def test_the_test_set_depends_neither_on_the_task_nor_on_the_size() -> None:
+    mesh = TASKS["T0"].load(3, tested=2, **COARSE)
+    pattern = TASKS["T3"].load(5, tested=2, design=SKIRTS)
+    assert mesh.test.patterns_hash == pattern.test.patterns_hash
+    assert mesh.test.keys == pattern.test.keys
+    assert mesh.train.patterns_hash == pattern.train.select(range(3)).patterns_hash
+    assert mesh.train.points.shape == (3, 8192, 6)
+    assert pattern.train.points.shape == (5, 0, 6)
+    assert not np.isin(pattern.test.bodies, pattern.train.bodies).any()
+
+
+CPU = torch.device("cpu")
+
+
+def test_the_nearest_garment_to_a_training_garment_is_itself(six: GarmentSet) -> None:
+    points = torch.from_numpy(six.points[..., :3]).float()
+    assert baselines.nearest_garments(points[:, :256], points[:, 256:]).tolist() == [0, 1, 2, 3, 4, 5]
+    answers = nearest(six, six.select([4, 1]), device=CPU)
+    assert [answer == six.pattern(k) for answer, k in zip(answers, (4, 1), strict=True)] == [True, True]
+
+
+def test_the_most_typical_garment_is_central(six: GarmentSet) -> None:
+    cloud = torch.rand(64, 3, generator=torch.Generator().manual_seed(0))
+    assert baselines.most_typical(torch.stack([cloud + shift for shift in (0.0, 5.0, 9.0)])) == 1
+    answers = typical(six, six.select([0, 1, 2]), device=CPU)
+    assert len(answers) == 3
+    assert answers[0] == answers[2]
+
+
+def test_the_ceiling_is_nearly_the_truth(six: GarmentSet) -> None:
+    (answer,) = ceiling(six, six.select([3]), device=CPU)
+    score = score_pattern(answer, six.pattern(3))
+    assert score.iou > 0.99
+    assert score.stitch_f1 == 1.0

@@ -1,16 +1,23 @@
 """Reports of trained models, from files of results."""
 
 import json
+import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.reconstruction.leaderboard import curves, main
+from benchmarks.reconstruction import leaderboard, plan
+from benchmarks.reconstruction.leaderboard import main
 from benchmarks.reconstruction.models import load_model
-from benchmarks.reconstruction.results import Entry, read_entries
+from benchmarks.reconstruction.plan import main as plan_main
+from benchmarks.reconstruction.plan import read_plan
+from benchmarks.reconstruction.results import read_entries
+from benchmarks.reconstruction.train import UNFINISHED
+from gcd_dataset.errors import ConfigError
 
 
 def result(
@@ -41,12 +48,6 @@ def test_the_best_model_of_a_task_comes_first(tmp_path: Path) -> None:
         assert text.index("| panel_set | 4 | 8.0 | 0.7 (0.6 to 0.8) |") < text.index("| nearest | 4 |")
     assert "| Of skirt | 0.25 |" in page
     assert "- command: `python -m x`" in page
-
-
-def test_a_result_that_is_added_again_replaces_the_first(tmp_path: Path) -> None:
-    added(tmp_path, result("T0", "nearest", 0.2))
-    added(tmp_path, result("T0", "nearest", 0.3))
-    assert [entry.scores["topology_exact"][0] for entry in read_entries(tmp_path / "learning")] == [0.3]
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"a": 1}', '{"scores": {}}'])
@@ -82,13 +83,6 @@ def test_a_malformed_report_is_refused_and_not_kept(
     assert [path.name for path in (tmp_path / "learning").iterdir()] == ["t0_nearest_4_8min.json"]
 
 
-def test_a_folder_of_few_garments_is_counted(tmp_path: Path) -> None:
-    found = result("T0", "panel_set", 0.2, train=4000)
-    found["data"]["train"]["count"] = 5
-    added(tmp_path, found)
-    assert [entry.train for entry in read_entries(tmp_path / "learning")] == [5]
-
-
 def test_scores_are_drawn_against_the_number_of_garments(tmp_path: Path) -> None:
     added(tmp_path, result("T1", "panel_set", 0.3, train=1000))
     assert not (tmp_path / "learning_T1.png").exists()
@@ -107,25 +101,6 @@ def test_scores_are_drawn_against_the_number_of_garments(tmp_path: Path) -> None
     assert (picture != 255).any(axis=2).mean() > 0.01
 
 
-def test_no_two_models_are_drawn_alike(monkeypatch: pytest.MonkeyPatch) -> None:
-    from matplotlib.colors import to_rgba
-
-    drawn: dict[str, tuple[Any, ...]] = {}
-
-    def errorbar(*_: Any, label: str, **style: Any) -> None:
-        drawn[label] = (style["fmt"], to_rgba(style["color"]), style.get("markerfacecolor"))
-
-    monkeypatch.setattr("matplotlib.axes.Axes.errorbar", errorbar)
-    scores = {"topology_exact": [0.5, 0.4, 0.6]}
-    models = [f"model {k}" for k in range(25)]
-    curves([
-        Entry("T0", model, 10 * count, 8.0, scores, fresh=fresh, tested=500)
-        for model in models for count, fresh in ((1, 0), (2, 0), (2, 5))
-    ])  # fmt: skip
-    assert len(drawn) == 50
-    assert len(set(drawn.values())) == 50
-
-
 def test_a_kind_that_is_left_out_is_compared_with_training_on_it(tmp_path: Path) -> None:
     added(tmp_path, result("T0", "panel_set", 0.7))
     added(tmp_path, result("T0", "panel_set", 0.1, leave_out="skirt", tested=70, patterns="12"))
@@ -138,16 +113,6 @@ def test_a_kind_that_is_left_out_is_compared_with_training_on_it(tmp_path: Path)
         assert "| skirt | panel_set | 4 | 8 minutes | 70 | 0.25 | 0.1 (0 to 0.2) |" in page
         assert page.count("| panel_set | 4 | 8.0 |") == 1
         assert page.count("Tested on") == 1
-
-
-def test_a_score_that_no_training_without_a_kind_has_needs_no_columns(tmp_path: Path) -> None:
-    draped = result("T0", "panel_set", 0.7)
-    draped["scores"]["within_1cm"] = [0.4, 0.3, 0.5]
-    added(tmp_path, draped)
-    added(tmp_path, result("T0", "panel_set", 0.1, leave_out="skirt", tested=70, patterns="12"))
-    page = (tmp_path / "learning_T0.md").read_text()
-    assert "within_1cm" in page
-    assert "| tested on | topology_exact, with | topology_exact, without |" in page
 
 
 def test_results_on_other_test_garments_have_a_table_of_their_own(tmp_path: Path) -> None:
@@ -168,19 +133,6 @@ def test_results_on_other_test_garments_have_a_table_of_their_own(tmp_path: Path
         assert other.count("Tested on ") == 3
         assert "Tested on 500 garments (patterns efefefefefefefef, meshes of 6 cm).\n\n| model " in other
         assert other.index("| few | 4 |") < other.index("| few too | 4 |")
-
-
-def test_a_result_on_other_test_garments_replaces_none(tmp_path: Path) -> None:
-    """The command of the second one differs by ``--test 100``."""
-    for found in (result("T0", "nearest", 0.2), result("T0", "nearest", 0.9, tested=100)) * 2:
-        assert added(tmp_path, found) == 0
-    assert [(e.tested, e.scores["topology_exact"][0]) for e in read_entries(tmp_path / "learning")] == [
-        (100, 0.9),
-        (500, 0.2),
-    ]
-    assert (
-        "| nearest | 4 | 8.0 | 0.2 (0.1 to 0.3) |" in (tmp_path / "leaderboard.md").read_text().split("Results on")[0]
-    )
 
 
 @pytest.mark.parametrize("sign", ["option", "command", "garments"])
@@ -211,36 +163,6 @@ def test_models_are_ranked_by_a_score_that_all_have(tmp_path: Path) -> None:
     assert "| other | 4 | 8.0 |  | 0.5 (0.4 to 0.6) |  |  |" in board
 
 
-def test_networks_of_other_sizes_are_models_of_their_own(tmp_path: Path) -> None:
-    added(tmp_path, result("T2", "picture_set", 0.5))
-    added(tmp_path, result("T2", "picture_set", 0.4, sizes={"views": 1}))
-    found = [entry.model for entry in read_entries(tmp_path / "learning")]
-    assert found == ["picture_set", "picture_set views=1"]
-
-
-def test_lengths_of_trainings_are_told_apart(tmp_path: Path) -> None:
-    """2.4 and 2.5 minutes, measured with the last step, and steps whatever time they took."""
-    for exact, steps, minutes in ((0.3, 0, 2.4003), (0.4, 0, 2.5008), (0.5, 1200, 2.5)):
-        added(tmp_path, result("T1", "panel_set", exact, steps=steps) | {"minutes": minutes})
-    added(tmp_path, result("T1", "panel_set", 0.5, train=8, steps=1200) | {"minutes": 7.0})
-    page = (tmp_path / "learning_T1.md").read_text()
-    for head in ("4 garments, 2.4 minutes", "4 garments, 2.5 minutes", "4 garments, 1,200 steps"):
-        assert page.count(f"## panel_set, {head}\n") == 1
-    assert "| topology_exact | panel_set, 1,200 steps | 0.5 (0.4 to 0.6) | 0.5 (0.4 to 0.6) |" in page
-
-
-def test_a_length_is_what_was_asked_for(tmp_path: Path) -> None:
-    """The last step of a training ends later, by seconds on a slow machine; references have no length."""
-    added(tmp_path, result("T1", "panel_set", 0.3, minutes=0.8) | {"minutes": 0.8004})
-    added(tmp_path, result("T1", "panel_set", 0.4, minutes=0.8, train=8) | {"minutes": 0.871})
-    added(tmp_path, result("T1", "nearest", 0.1, minutes=8.0, steps=5) | {"minutes": 0.0})
-    page = (tmp_path / "learning_T1.md").read_text()
-    assert "| topology_exact | panel_set | 0.3 (0.2 to 0.4) | 0.4 (0.3 to 0.5) |" in page
-    assert "## nearest, 4 garments\n" in page
-    names = {path.name for path in (tmp_path / "learning").iterdir()}
-    assert names == {"t1_panel_set_4_0.8min.json", "t1_panel_set_8_0.8min.json", "t1_nearest_4.json"}
-
-
 @pytest.mark.parametrize("changed", [{"seed": 1}, {"lr": 0.125}, {"batch": 7}])
 def test_unusual_options_make_another_model(changed: dict[str, Any], tmp_path: Path) -> None:
     usual: dict[str, Any] = {"seed": 0, **{name: load_model("parameters").USUAL[name] for name in ("batch", "lr")}}
@@ -251,54 +173,6 @@ def test_unusual_options_make_another_model(changed: dict[str, Any], tmp_path: P
         "parameters",
         f"parameters {name}={value}",
     ]
-
-
-@pytest.mark.parametrize("changed", [{"foreign": 0.1}, {"width": 64}, {"seed": 3}, {"lr": 0.5}])
-def test_unusual_options_make_another_model_of_stitches(changed: dict[str, Any], tmp_path: Path) -> None:
-    data = {"count": 4, "patterns": "ab" * 32, "ids": "cd" * 32}
-    for options in ({}, changed):
-        arguments = {"train": 1000, "foreign": 0.0, "seed": 0, **options}
-        scores = {"one_to_one": {"f1_symmetric": [0.9]}, "scores_of_kinds": {}, "train_s": 60.0}
-        added(tmp_path, {"arguments": arguments, "data": {"train": data, "test": data}, **scores})
-    ((name, value),) = changed.items()
-    assert {entry.model for entry in read_entries(tmp_path / "learning")} == {"stitches", f"stitches {name}={value}"}
-
-
-def test_lengths_that_differ_are_shown_beside_a_kind_left_out(tmp_path: Path) -> None:
-    added(tmp_path, result("T0", "panel_set", 0.7, minutes=2.0) | {"minutes": 2.0})
-    without = result("T0", "panel_set", 0.1, leave_out="skirt", steps=1200, tested=70, patterns="12")
-    added(tmp_path, without | {"minutes": 1.0})
-    page = (tmp_path / "learning_T0.md").read_text()
-    assert "| skirt | panel_set | 4 | 2 minutes with, 1,200 steps without | 70 | 0.25 | 0.1 (0 to 0.2) |" in page
-
-
-def test_the_peer_of_a_left_out_kind_took_as_many_steps(tmp_path: Path) -> None:
-    """Another training took about the same time."""
-    for value, steps, minutes in ((0.25, 0, 1.0), (0.75, 900, 2.0)):
-        found = result("T0", "panel_set", 0.7, steps=steps) | {"minutes": minutes}
-        added(tmp_path, found | {"scores_of_kinds": {"skirt": {"topology_exact": value}}})
-    without = result("T0", "panel_set", 0.1, leave_out="skirt", steps=900, tested=70, patterns="12")
-    added(tmp_path, without | {"minutes": 1.0})
-    assert (
-        "| skirt | panel_set | 4 | 900 steps | 70 | 0.75 | 0.1 (0 to 0.2) |"
-        in (tmp_path / "learning_T0.md").read_text()
-    )
-
-
-def test_a_remark_is_part_of_the_report(tmp_path: Path) -> None:
-    path = tmp_path / "report.json"
-    path.write_text(json.dumps(result("T0", "nearest", 0.2)))
-    told = ["--command", "x", "--commit", "abc", "--remark", "Half of the errors are waistbands."]
-    assert main(["--reports", str(tmp_path), "--add", str(path), *told]) == 0
-    page = (tmp_path / "learning_T0.md").read_text()
-    assert "## nearest, 4 garments, 8 minutes\n\nHalf of the errors are waistbands.\n" in page
-
-
-def test_the_least_error_comes_first(tmp_path: Path) -> None:
-    for model, error in (("mean_measures", 4.0), ("measures", 1.0)):
-        added(tmp_path, result("T5", model, 0.0) | {"scores": {"error_cm": [error, error, error]}})
-    assert [entry.model for entry in read_entries(tmp_path / "learning")] == ["measures", "mean_measures"]
-    assert "| measures | 4 | 8.0 | 1 (1 to 1) |" in (tmp_path / "leaderboard.md").read_text()
 
 
 def test_kinds_of_stitched_patterns_are_told_apart(tmp_path: Path) -> None:
@@ -315,3 +189,140 @@ def test_kinds_of_stitched_patterns_are_told_apart(tmp_path: Path) -> None:
     assert added(tmp_path, found) == 0
     page = (tmp_path / "learning_T3.md").read_text()
     assert "| dress | stitches | 1,000 | 1 minute | 4 | 0.75 | 0.5 (0.4 to 0.6) | 0.5 | 0.3 (0.2 to 0.4) |" in page
+
+
+# ----------------------------------------------------------------------------------------------------------------- plan
+
+
+PLANS = sorted((Path(plan.__file__).parent / "plans").glob("*.toml"))
+TWO = '[a]\nmodel = ["typical", "nearest"]\nsmoke = true\n'
+
+
+def plan_file(folder: Path, text: str) -> Path:
+    path = folder / "plan.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """Commands that were started; each but ``--make-only`` and ``typical --seed 1`` leaves a report."""
+    commands: list[list[str]] = []
+
+    class Process:
+        def __init__(self, command: list[str], **options: Any) -> None:
+            commands.append(command[2:])
+            out = Path(command[command.index("--out") + 1])
+            self.returncode = int("--seed" in command)
+            if "--make-only" not in command and not self.returncode:
+                (out / "report.json").write_text("{}")
+
+        def poll(self) -> int:
+            return self.returncode
+
+        def __enter__(self) -> "Process":
+            return self
+
+        def __exit__(self, *error: object) -> None: ...
+
+        def terminate(self) -> None: ...
+
+    monkeypatch.setattr(plan, "subprocess", SimpleNamespace(Popen=Process))
+    monkeypatch.setattr(plan, "time", SimpleNamespace(monotonic=lambda: 0.0, sleep=lambda seconds: None))
+    return commands
+
+
+@pytest.mark.parametrize("path", PLANS, ids=lambda path: str(path.stem))
+def test_the_programs_accept_the_plans_of_the_repository(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large networks are built in tests/extras only."""
+    if path.stem != "smoke":
+        monkeypatch.setattr(plan, "require_usable", lambda options: None)
+    assert read_plan(path)
+
+
+def test_lists_give_a_run_for_each_combination(tmp_path: Path) -> None:
+    runs = read_plan(
+        plan_file(tmp_path, '[T0]\nmodel = ["panel_set", "parameters"]\ntrain = [1000, 4000]\nset = ["width=96"]\n')
+    )
+    assert [run.name for run in runs] == [
+        f"T0-{model}-{count}" for model in ("panel_set", "parameters") for count in (1000, 4000)
+    ]
+    assert runs[1].command[2:] == [
+        "benchmarks.reconstruction.train", "panel_set", "--train", "4000", "--set", "width=96",
+    ]  # fmt: skip
+    assert len({run.garments for run in runs}) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[a", "give a TOML file of runs"),
+        ("", "no runs: give a table"),
+        ("a = 1", "[a] is no table"),
+        ("[a]\ntrain = 10", "[a] has no model: give model"),
+        ('[a]\nprogram = "other"', "program 'other': give one of train, stitching.run"),
+        ('[a]\nmodel = "unknown"', "no model 'unknown': choose one of"),
+        ('[a]\nmodel = "typical"\nwidth = 3', "unrecognized arguments: --width 3"),
+        ('[a]\nmodel = "typical"\nset = ["width=3"]', "typical has no network"),
+        ('[a]\nprogram = "stitching.run"\nwidth = 33', "width 33 is no multiple of heads"),
+        ('["a/b"]\nmodel = "typical"', "'a/b' is no name for a folder"),
+        ('[a]\nmodel = ["typical", "typical"]', "two runs a-typical: give runs with different names"),
+    ],
+)
+def test_unusable_plans_are_refused(text: str, expected: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=re.escape(expected)):
+        read_plan(plan_file(tmp_path, text))
+
+
+def test_garments_are_made_once_and_finished_runs_are_left_alone(tmp_path: Path, started: list[list[str]]) -> None:
+    call = [str(plan_file(tmp_path, TWO)), "--out", str(tmp_path / "out"), "--gpus", "0"]
+    assert plan_main([*call, "--make-only"]) == 0
+    assert ["--make-only" in command for command in started] == [True]
+    (tmp_path / "out" / "a-typical").mkdir()
+    (tmp_path / "out" / "a-typical" / "report.json").write_text("{}")
+    assert plan_main([*call, "--limit-minutes", "9"]) == 0
+    assert [command[1] for command in started[2:]] == ["nearest"]
+    assert started[2][started[2].index("--limit-minutes") + 1] == "8.50"
+    assert plan_main(call) == 0
+    assert len(started) == 3
+    log = (tmp_path / "out" / "a-nearest" / "log.txt").read_text()
+    assert log.startswith("$ python -m benchmarks.reconstruction.train nearest --smoke --limit-minutes 8.50 --out ")
+
+
+def test_a_failed_run_is_named_and_the_others_go_on(
+    tmp_path: Path, started: list[list[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Runs without the scores of drapes that they ask for are unfinished."""
+    out = tmp_path / "out"
+    path = plan_file(tmp_path, TWO.replace("a]", "b]") + "[c]\nmodel = 'ceiling'\nsmoke = true\ndrape = true\n")
+    assert plan_main([str(path), "--out", str(out), "--gpus", "0"]) == UNFINISHED
+    assert capsys.readouterr().out == "b-typical  done\nb-nearest  done\nc  unfinished\n"
+    runs = read_plan(plan_file(tmp_path, '[d]\nmodel = "typical"\nseed = 1\n[e]\nmodel = "typical"\n'))
+    assert not plan._Calls(SimpleNamespace(out=out, data=None, examples="", gpus=0, limit_minutes=0)).train(runs)  # type: ignore[arg-type]
+    assert [run.is_done(out) for run in runs] == [False, True]
+    assert "plan: d ended with exit code 1" in capsys.readouterr().err
+
+
+def test_a_folder_of_other_options_is_refused(
+    tmp_path: Path, started: list[list[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    call = ["--out", str(tmp_path / "out"), "--gpus", "0"]
+    assert plan_main([str(plan_file(tmp_path, TWO)), *call]) == 0
+    assert plan_main([str(plan_file(tmp_path, TWO + "train = 4\n")), *call]) == 1
+    assert "a-typical holds a run of other options: delete it" in capsys.readouterr().err
+
+
+def test_reports_go_to_the_leaderboard(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = plan_file(tmp_path, '[a]\nmodel = ["nearest", "typical"]\ndrape = true\n')
+    call = [str(path), "--out", str(tmp_path), "--report", "--reports", str(tmp_path / "reports"), "--commit", "abc"]
+    assert plan_main(call) == 1
+    assert "has no finished run" in capsys.readouterr().err
+    known = json.loads((leaderboard.REPORTS / "learning" / "t1_nearest_16000.json").read_text())
+    scores = {name: value for name, value in known["scores"].items() if name != "sim_ok"}
+    (tmp_path / "a-nearest").mkdir()
+    (tmp_path / "a-nearest" / "report.json").write_text(json.dumps({**known, "scores": scores}))
+    assert plan_main(call) == 0
+    page = (tmp_path / "reports" / "learning_T1.md").read_text()
+    assert "`python -m benchmarks.reconstruction.train nearest --drape --out runs/a-nearest`" in page
+    assert plan.NOT_DRAPED in page
+    assert "1 of 2 runs reported" in capsys.readouterr().out

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,12 +11,16 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor, nn
 
 from benchmarks.reconstruction.assignment import least_cost
-from benchmarks.reconstruction.attention import DecoderLayer, EncoderLayer, hiding
-from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models import MODELS, edge_tokens, load_model, panel_set, parameters
+from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
+from benchmarks.reconstruction.garments import GarmentSet, Ragged
+from benchmarks.reconstruction.learners import Learner
+from benchmarks.reconstruction.models import MODELS, load_model
+from benchmarks.reconstruction.point_net import DecoderLayer, EncoderLayer, hiding
 from benchmarks.reconstruction.stitching.run import main as stitching
+from benchmarks.reconstruction.training import TrainConfig, train
 from gcd_dataset.errors import ConfigError
 
+CPU = torch.device("cpu")
 NETWORKS = [name for name in MODELS if hasattr(load_model(name), "build")]
 NEEDED = {
     "panel_set": "width heads layers queries slots edges edge_width edge_heads seam_layers tokens points stored_points",
@@ -84,13 +88,67 @@ def test_stitching_refuses_sizes_before_patterns_are_drawn(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("module", [edge_tokens, panel_set, parameters])
-def test_every_trained_parameter_has_a_gradient(module: ModuleType, six: GarmentSet) -> None:
+FEW = {"points": 128, "stored_points": 512}
+SIZES: dict[str, dict[str, int]] = {
+    "panel_set": FEW, "edge_tokens": {**FEW, "noise_mm": 0}, "parameters": {**FEW, "labelled": 1},
+    "picture_set": {"views": 1}, "picture_parameters": {"views": 1},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def pictured(six: GarmentSet) -> GarmentSet:
+    """The skirts with pictures of noise."""
+    rng = np.random.default_rng(0)
+    shape = (PICTURES, PICTURE_SIZE, PICTURE_SIZE)
+    pictures = [rng.integers(256, size=(*shape, 3), dtype=np.uint8) for _ in range(len(six))]
+    shown = [rng.integers(FIRST_PANEL + 8, size=shape, dtype=np.uint8) for _ in range(len(six))]
+    return replace(six, ragged={**six.ragged, "pictures": Ragged.of(pictures), "shown": Ragged.of(shown)})
+
+
+def network(model: str) -> Learner[Any, Any]:
     torch.manual_seed(0)
-    learner = module.build(smoke=True, options={"points": 128, "stored_points": 512})
-    batch = learner.prepare(six, device=torch.device("cpu")).batch(torch.arange(6))
+    learner: Learner[Any, Any] = load_model(model).build(smoke=True, options=SIZES[model])
+    return learner
+
+
+def loss_of(learner: Learner[Any, Any], batch: Any) -> float:
+    with torch.no_grad():
+        return float(sum(part.item() for part in learner.loss(batch).values()))
+
+
+@pytest.mark.parametrize("model", SIZES)
+def test_every_trained_parameter_has_a_gradient(model: str, pictured: GarmentSet) -> None:
+    learner = network(model)
+    batch = learner.prepare(pictured, device=CPU).batch(torch.arange(2))
     torch.autograd.backward(torch.stack(list(learner.loss(batch).values())).sum())
     assert [name for name, p in learner.named_parameters() if p.requires_grad and p.grad is None] == []
+
+
+@pytest.mark.parametrize("model", ["panel_set", "edge_tokens"])
+def test_empty_rows_and_garments_beyond_the_sizes_teach_nothing(model: str, six: GarmentSet) -> None:
+    learner = network(model).eval()
+    examples = learner.prepare(six, device=CPU)
+    batch = examples.batch(torch.arange(6))
+    whole = replace(examples.whole[torch.arange(6)], points=batch.points)  # type: ignore[attr-defined]
+    assert batch.edge_panels.shape[1] < whole.edge_panels.shape[1]
+    assert loss_of(learner, batch) == pytest.approx(loss_of(learner, whole), rel=1e-4)
+    gone = torch.arange(6)[:, None] == 0
+    columns = {name: torch.where(gone, -1, getattr(batch, name)) for name in ("edge_panels", "partners")}
+    empty = replace(batch, exists=batch.exists & ~gone, **columns)
+    gradients = []
+    for some in (empty, empty[1:]):
+        learner.zero_grad()
+        torch.autograd.backward(torch.stack(list(learner.loss(some).values())).sum())
+        gradients.append([p.grad.clone() for p in learner.parameters() if p.grad is not None])
+    assert all(torch.allclose(one, other, atol=1e-4) for one, other in zip(*gradients, strict=True))
+
+
+def test_a_network_learns(six: GarmentSet) -> None:
+    """The others learn in tests/extras."""
+    learner = network("panel_set")
+    config = TrainConfig(steps=20, batch=6, lr=4e-3, log_every=5, weight_decay=0.0)
+    curve = train(learner, learner.prepare(six, device=CPU), config, device=CPU).curve
+    assert curve[-1]["loss"] < 0.8 * curve[0]["loss"]
 
 
 OPTIONS = {"activation": "gelu", "batch_first": True, "norm_first": True, "dropout": 0.0}

@@ -1,21 +1,22 @@
 """The panel set network: what its loss ignores, what its answers are, and that it learns."""
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.panel_set import PanelSet, _partners, build, edges_of, match_panels, panel_losses
-from benchmarks.reconstruction.panel_net import Predicted, rotation_of
-from benchmarks.reconstruction.panel_targets import PanelTargets
-from benchmarks.reconstruction.point_net import PointConfig, PointTokens, regions_of, some_of
-from benchmarks.reconstruction.training import TrainConfig, train
+from benchmarks.reconstruction.panel_net import Predicted
+from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, fitted_curve, patterns_from, simple_panel
+from benchmarks.reconstruction.point_net import regions_of
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, curve_points
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.faults import Severity, check_pattern
-from gcd_dataset.metrics import score_pattern
+from gcd_dataset.faults import Rule, Severity, check_pattern
+from gcd_dataset.metrics import mean_scores, score_pattern
+from gcd_dataset.records import Edge, Panel, Pattern, Placement
 from tests.benchmarks.reconstruction.conftest import shuffled, started_elsewhere
 
 CPU = torch.device("cpu")
@@ -86,11 +87,6 @@ def test_answers_can_be_sewn_even_before_training(six: GarmentSet) -> None:
         assert not [fault for fault in check_pattern(pattern) if fault.severity is Severity.ERROR]
 
 
-def test_processes_encode_the_same_targets(six: GarmentSet) -> None:
-    one, two = (learner().prepare(six, device=CPU, workers=workers).whole for workers in (0, 2))
-    assert all(torch.equal(value, getattr(two, name)) for name, value in vars(one).items())
-
-
 def test_regions_hold_equal_numbers_of_near_points() -> None:
     chance = torch.Generator().manual_seed(0)
     points = torch.rand(2, 513, 6, generator=chance)
@@ -101,80 +97,6 @@ def test_regions_hold_equal_numbers_of_near_points() -> None:
     assert (regions[..., :3].amax(dim=2) - regions[..., :3].amin(dim=2)).mean() < 0.6  # halves of a unit cube
     one_row = regions[0, :, :, 0].flatten()
     assert not torch.equal(one_row, points[0, :512, 0])
-
-
-def test_a_training_step_sees_some_of_the_regions_and_an_answer_all() -> None:
-    tokens = PointTokens(PointConfig(tokens=16, seen=5, region_width=8, width=12, heads=2, layers=1))
-    points = torch.rand(2, 64, 6)
-    assert tokens.train()(points).shape == (2, 5, 12)
-    assert not torch.equal(tokens(points), tokens(points))
-    assert tokens.eval()(points).shape == (2, 16, 12)
-    assert torch.equal(tokens(points), tokens(points))
-
-
-def test_regions_that_are_seen_are_regions_each_at_most_once() -> None:
-    regions = torch.arange(2 * 16, dtype=torch.float32).view(2, 16, 1, 1).expand(2, 16, 3, 6)
-    for garment, seen in enumerate(some_of(regions, 9)[:, :, 0, 0].long().tolist()):
-        assert len(set(seen)) == 9
-        assert {number // 16 for number in seen} == {garment}
-    assert some_of(regions, 99).shape == regions.shape
-
-
-def test_rows_that_are_empty_in_all_garments_change_no_loss(six: GarmentSet) -> None:
-    network = learner()
-    examples = network.prepare(six, device=CPU)
-    batch = examples.batch(torch.arange(6))
-    whole = replace(examples.whole[torch.arange(6)], points=batch.points)
-    assert batch.edge_panels.shape[1] < whole.edge_panels.shape[1]
-    assert loss_of(network, batch) == pytest.approx(loss_of(network, whole), rel=1e-4)
-
-
-def test_a_garment_beyond_the_sizes_teaches_nothing(targets: PanelTargets) -> None:
-    network = learner()
-    empty = replace(targets, exists=targets.exists & (torch.arange(6) > 0)[:, None])
-    empty = replace(empty, edge_panels=torch.where(torch.arange(6)[:, None] > 0, empty.edge_panels, -1))
-    network.zero_grad()
-    torch.autograd.backward(torch.stack(list(network.loss(empty).values())).sum())
-    ours = [p.grad.clone() for p in network.parameters() if p.grad is not None]
-    network.zero_grad()
-    torch.autograd.backward(torch.stack(list(network.loss(empty[1:]).values())).sum())
-    theirs = [p.grad for p in network.parameters() if p.grad is not None]
-    assert all(torch.allclose(one, other, atol=1e-4) for one, other in zip(ours, theirs, strict=True))
-
-
-def test_a_step_asks_for_no_value_on_the_device(targets: PanelTargets, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Tensors of the device "meta" have no values: whatever would wait for a GPU to read one raises an error.
-    def assigned(cost: torch.Tensor, asked: torch.Tensor) -> torch.Tensor:
-        return torch.zeros(asked.shape, dtype=torch.int64, device=cost.device)
-
-    def no_autocast(kind: str, *, enabled: bool) -> AbstractContextManager[None]:
-        return nullcontext()  # the device has none
-
-    monkeypatch.setattr("benchmarks.reconstruction.models.panel_set.least_cost", assigned)
-    monkeypatch.setattr(torch, "autocast", no_autocast)
-    meta = torch.device("meta")
-    network, batch = learner().to(meta), targets[:2].with_points(128, torch.Generator()).to(meta)
-    loss = torch.stack(list(network.loss(batch).values())).sum()
-    torch.autograd.backward(loss)
-    with pytest.raises(RuntimeError):
-        loss.item()
-
-
-def test_points_are_drawn_anew_for_each_step(six: GarmentSet) -> None:
-    examples = learner().prepare(six, device=CPU)
-    first, again, other = (
-        examples.batch(torch.tensor([2]), torch.Generator().manual_seed(seed)).points for seed in (1, 1, 2)
-    )
-    assert first.shape == (1, 128, 6)
-    assert torch.equal(first, again)
-    assert not torch.equal(first, other)
-
-
-def test_the_loss_falls(six: GarmentSet) -> None:
-    network = learner(tokens=16)
-    config = TrainConfig(steps=20, batch=6, lr=4e-3, log_every=5, weight_decay=0.0)
-    curve = train(network, network.prepare(six, device=CPU), config, device=CPU).curve
-    assert curve[-1]["loss"] < 0.8 * curve[0]["loss"]
 
 
 def test_the_likeliest_pairs_are_sewn_first() -> None:
@@ -192,17 +114,6 @@ def test_edges_follow_each_other_in_the_loops_of_existing_panels() -> None:
     assert edges.exists.tolist() == [[True] * 7 + [False]]
 
 
-def test_two_columns_give_a_rotation() -> None:
-    rotations = rotation_of(torch.randn(5, 6, generator=torch.Generator().manual_seed(0)))
-    assert torch.allclose(rotations @ rotations.transpose(1, 2), torch.eye(3).expand(5, 3, 3), atol=1e-5)
-    assert torch.allclose(torch.linalg.det(rotations), torch.ones(5))
-
-
-def test_regions_are_a_power_of_two() -> None:
-    with pytest.raises(ConfigError, match="24 tokens of 128 points: give a power of 2"):
-        learner(tokens=24)
-
-
 def test_panels_are_matched_alike_at_every_place(six: GarmentSet) -> None:
     # As a product of matrices, which needs more than 25 rows, distances this far from the origin would be rounded.
     torch.manual_seed(0)
@@ -212,3 +123,68 @@ def test_panels_are_matched_alike_at_every_place(six: GarmentSet) -> None:
     said = replace(said, extents=torch.ones_like(said.extents), edges=torch.zeros_like(said.edges))
     far = replace(said, centres=said.centres + 8192.0), replace(targets, centres=targets.centres + 8192.0)
     assert torch.equal(match_panels(*far), match_panels(said, targets))
+
+
+# -------------------------------------------------------------------------------------------------------- panel targets
+
+
+TARGETS = ToTargets(queries=12, slots=24, edges=96, points=64)
+
+
+def test_targets_decode_to_nearly_the_same_pattern(six: GarmentSet) -> None:
+    truth = [six.pattern(k) for k in range(len(six))]
+    found = patterns_from(TARGETS(six))
+    score = mean_scores([score_pattern(*pair) for pair in zip(found, truth, strict=True)])
+    assert (score.valid, score.panel_count_acc, score.edge_count_acc, score.stitch_f1) == (1, 1, 1, 1)
+    assert score.iou > 0.99
+    assert score.transl_cm < 0.1
+    assert score.rot_deg < 0.01
+    for pattern, true in zip(found, truth, strict=True):
+        assert [panel.label for panel in pattern.panels] == [panel.label for panel in true.panels]
+        assert {seam.right_wrong for seam in pattern.seams} == {seam.right_wrong for seam in true.seams}
+        labels = [[edge.label for panel in p.panels for edge in panel.edges] for p in (pattern, true)]
+        assert labels[0] == labels[1]
+
+
+def test_a_garment_beyond_the_sizes_is_refused(six: GarmentSet) -> None:
+    for small in ({"queries": 1}, {"slots": 3}, {"edges": 7}):
+        with pytest.raises(ConfigError, match="raise queries, edges or slots"):
+            replace(TARGETS, **small).of(six.pattern(0))
+        assert not replace(TARGETS, **small)(six.select([0])).exists.any()
+
+
+def panel(corners: list[tuple[float, float]], *curves: Curve) -> Panel:
+    drawn = [*curves, *[LINE] * (len(corners) - len(curves))]
+    edges = tuple(Edge(i, (i + 1) % len(corners), curve) for i, curve in enumerate(drawn))
+    return Panel("front", np.array(corners), edges, Placement(np.zeros(3), np.zeros(3)))
+
+
+@pytest.mark.parametrize(
+    "crossing",
+    [
+        panel([(0, 0), (40, 40), (40, 0), (0, 40)]),
+        panel([(0, 0), (40, 0), (40, 30), (0, 30)], Cubic((0.5, 2.0), (0.6, 2.0))),
+        panel([(0, 0), (30, 50), (60, 0), (0, 30), (60, 30)]),
+    ],
+)
+def test_a_repaired_outline_does_not_cross_itself(crossing: Panel) -> None:
+    def crosses(tried: Panel) -> bool:
+        return Rule.SELF_CROSSING in {fault.rule for fault in check_pattern(Pattern("", (tried,), ()))}
+
+    assert crosses(crossing)
+    repaired = simple_panel(crossing)
+    assert not crosses(repaired)
+    assert len(repaired.edges) == len(crossing.edges)
+    assert {tuple(corner) for corner in repaired.vertices} == {tuple(corner) for corner in crossing.vertices}
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [LINE, Cubic((0.2, 0.4), (0.7, -0.3)), Arc(12.0, False, True), Arc(12.0, True, False), Arc(30.0, False, False)],
+)
+def test_a_curve_is_fitted_to_its_own_points(curve: Curve) -> None:
+    ends = (3.0, -2.0), (20.0, 9.0)
+    fitted = fitted_curve(curve_points(*ends, curve, np.linspace(0, 1, 20)))
+    assert fitted.kind == curve.kind
+    middle = np.array([0.25, 0.5, 0.9])
+    assert np.allclose(curve_points(*ends, fitted, middle), curve_points(*ends, curve, middle), atol=1e-6)

@@ -7,20 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction import garments, picture_model
-from benchmarks.reconstruction.derived import DERIVED, FIRST_PANEL, PICTURE_SIZE, PICTURES, picture_views
+from benchmarks.reconstruction import picture_model
+from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.design_codes import PARAMETERS, encode_design
-from benchmarks.reconstruction.garments import GarmentSet, Ragged, generated
+from benchmarks.reconstruction.garments import GarmentSet, Ragged
 from benchmarks.reconstruction.models import load_model
 from benchmarks.reconstruction.picture_model import MOST_GROWTH, MOST_SHIFT, MOST_TURN, STRIDE, PictureTokens, distorted
 from benchmarks.reconstruction.point_net import EncoderConfig
-from benchmarks.reconstruction.training import TrainConfig, train
-from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.render.pictures import GARMENT
-from gcd_dataset.loaders import Views
 from gcd_dataset.records import BodyPart
-from gcd_dataset.tensors import PANEL_LABELS, PanelColumn
-from tests.benchmarks.reconstruction.conftest import SKIRTS
 
 CPU = torch.device("cpu")
 PATHS = [leaf.path for leaf in PARAMETERS]
@@ -91,14 +85,6 @@ def test_mirrored_garments_have_mirrored_pictures(painted: GarmentSet, monkeypat
         assert torch.equal(batch.measures[k], torch.from_numpy(made.measures[k]))
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_processes_encode_the_same_targets(painted: GarmentSet, model: str) -> None:
-    encoded = learner(model).encoder()(painted.select([0, 1]))
-    whole = learner(model).prepare(painted, device=CPU).whole[:2]
-    for name, value in vars(encoded).items():
-        assert np.array_equal(value.numpy(), getattr(whole, name).numpy(), equal_nan=value.is_floating_point())
-
-
 def test_pictures_are_distorted_alike_in_any_batch(painted: GarmentSet) -> None:
     examples = learner().prepare(painted, device=CPU)
     whole, part = (examples.batch(torch.tensor(rows), torch.Generator().manual_seed(0)) for rows in ([4, 1, 2], [1]))
@@ -131,23 +117,6 @@ def test_a_distortion_moves_a_dot_as_said() -> None:
     assert red[0, 0, 50, 60, 1] < 200
 
 
-def test_a_step_sees_some_cells_and_an_answer_all() -> None:
-    torch.manual_seed(0)
-    sizes = EncoderConfig(width=32, heads=2, layers=1)
-    network = PictureTokens(sizes, views=2, size=4 * STRIDE, seen=5)
-    pictures = torch.randint(256, (3, 2, 4 * STRIDE, 4 * STRIDE, 3), dtype=torch.uint8)
-    assert network(pictures).shape == (3, 5, 32)
-    assert network.eval()(pictures).shape == (3, 2 * 4 * 4, 32)
-
-
-def test_labels_of_panels_that_no_sampler_of_ours_knows_are_none() -> None:
-    panels = torch.zeros(2, PanelColumn.LABEL + 1)
-    panels[:, PanelColumn.LABEL] = torch.tensor([1.0, len(PANEL_LABELS) + 3])
-    maps = {"part_map": torch.full((1, 2, 2), GARMENT), "panel_id_map": torch.tensor([[[0, 0], [1, 1]]])}
-    shown = DERIVED["shown"].of({**maps, "panels": panels})
-    assert shown.tolist() == [[[FIRST_PANEL + 1] * 2, [FIRST_PANEL + len(PANEL_LABELS)] * 2]]
-
-
 def test_losses_of_seen_cells_are_those_of_their_pixels() -> None:
     torch.manual_seed(0)
     network = PictureTokens(EncoderConfig(width=32, heads=2, layers=1), views=2, size=4 * STRIDE, seen=5)
@@ -162,58 +131,3 @@ def test_losses_of_seen_cells_are_those_of_their_pixels() -> None:
     for name, loss in seen.items():
         assert loss.item() == pytest.approx(sum(one[name].item() for one in chosen) / 5, rel=1e-4)
         assert loss.item() != pytest.approx(every[name].item(), rel=1e-4)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_the_loss_falls(painted: GarmentSet, model: str) -> None:
-    network = learner(model, views=1)
-    config = TrainConfig(steps=15, batch=4, lr=3e-3, log_every=5, weight_decay=0.0)
-    curve = train(network, network.prepare(painted, device=CPU), config, device=CPU).curve
-    of_pixels = [row["shown"] + row["borders"] for row in (curve[0], curve[-1])]
-    assert of_pixels[1] < of_pixels[0]
-    assert curve[-1]["loss"] - of_pixels[1] < 0.9 * (curve[0]["loss"] - of_pixels[0])
-    assert len(list(network.answers(network.prepare(painted, device=CPU), 6, batch=4))) == 6
-
-
-def test_garments_are_seen_in_drawn_pictures() -> None:
-    one = generated(1, 0, points=0, extra=("pictures", "shown"), resolution=8.0, design=SKIRTS)
-    pictures, shown = one.ragged["pictures"][0], one.ragged["shown"][0]
-    panels = (shown[shown >= FIRST_PANEL] - FIRST_PANEL) // len(PANEL_LABELS)
-    assert shown.shape == pictures.shape[:-1]
-    assert set(panels.tolist()) == set(range(len(one.pattern(0).panels)))
-    assert pictures.shape == (PICTURES, PICTURE_SIZE, PICTURE_SIZE, 3)
-    assert pictures.dtype == np.uint8
-    assert all(picture.std() > 5 for picture in pictures)
-    assert not np.array_equal(pictures[0], pictures[1])
-
-
-@pytest.mark.parametrize(
-    ("drapes", "expected"), [("auto", "auto"), ("cuda:1", "cuda:1"), ("cuda:2,0", "cuda:2"), ("cpu", "auto")]
-)
-def test_pictures_are_rendered_where_garments_are_draped(
-    drapes: str, expected: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = []
-
-    def views(device: str) -> Views:
-        asked.append(device)
-        return picture_views("cpu")
-
-    monkeypatch.setattr(garments, "picture_views", views)
-    assert garments._views_on_gpu(("pictures",), drapes) is None  # on the CPU, workers render
-    assert asked == [expected]
-
-
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("sizes", [{"views": 9}, {"tables": 2}])
-def test_an_unknown_size_is_refused(sizes: dict[str, int], model: str) -> None:
-    with pytest.raises(ConfigError, match=r"give 1 to 4|no size tables"):
-        learner(model, **sizes)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_every_trained_parameter_has_a_gradient(painted: GarmentSet, model: str) -> None:
-    network = learner(model, views=1)
-    parts = network.loss(network.prepare(painted, device=CPU).batch(torch.arange(2)))
-    torch.autograd.backward(torch.stack(list(parts.values())).sum())
-    assert [name for name, p in network.named_parameters() if p.requires_grad and p.grad is None] == []

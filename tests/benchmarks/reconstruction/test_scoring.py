@@ -4,11 +4,18 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
+from benchmarks.reconstruction.garments import GarmentSet, generated
+from benchmarks.reconstruction.judging import Patterns, draw_mesh, judge_of, score_measures
+from benchmarks.reconstruction.models import baselines
+from benchmarks.reconstruction.models.baselines import box_mesh, mean_measures, nearest_labels, nearest_measures
+from benchmarks.reconstruction.models.measures import scans_of
 from benchmarks.reconstruction.scoring.bodies import wearers_of
 from benchmarks.reconstruction.scoring.distances import (
     WORST,
@@ -27,11 +34,17 @@ from benchmarks.reconstruction.scoring.garments import (
     match_folders,
     score_garment,
 )
+from benchmarks.reconstruction.tasks import task_named
 from gcd_dataset.curves import Cubic
 from gcd_dataset.errors import BodyError, GcdError, SpecError
-from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape, write_measurements
+from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
+from gcd_dataset.generator.lay_plan import PALETTE
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.measurements import ANGLES, MEASURES
 from gcd_dataset.records import Edge, Panel, Pattern, Placement, Seam
+from gcd_dataset.spec import read_pattern
+from tests.benchmarks.reconstruction.conftest import SKIRTS
 from tests.test_metrics import SAME, each, garment
 
 
@@ -65,17 +78,6 @@ def test_files_are_matched_by_the_garments_name(tmp_path: Path) -> None:
     missing, unknown = folders.remarks()
     assert "1 of 3 garments" in missing and "top" in missing
     assert "cape" in unknown
-
-
-def test_names_that_differ_in_capital_letters(tmp_path: Path) -> None:
-    truth = write(tmp_path / "truth", "dress.json", "skirt.json")
-    folders = match_folders(write(tmp_path / "some", "dress.json", "Skirt.json"), truth)
-    [_, unknown] = folders.remarks()
-    assert unknown.endswith(
-        ": 1: Skirt (Skirt and skirt differ in capital letters): name each prediction after its garment"
-    )
-    with pytest.raises(SpecError, match=r"\(DRESS and dress differ in capital letters\): name each prediction after"):
-        match_folders(write(tmp_path / "all", "DRESS.json"), truth)
 
 
 def test_files_in_a_folder_for_each_garment(tmp_path: Path) -> None:
@@ -112,10 +114,6 @@ def test_kinds_by_the_names_of_panels(names: list[str], kind: str) -> None:
     assert kind_of(Pattern("p", tuple(replace(square, name=name) for name in names), ())) == kind
 
 
-def test_the_file_may_name_the_kind() -> None:
-    assert kind_of(replace(garment(), extra={"properties": {"kind": "cape"}})) == "cape"
-
-
 # ----------------------------------------------------------------------------------------------------------- distances
 
 
@@ -137,17 +135,6 @@ def test_parallel_squares(shapes: tuple[Callable[[float], Shape], Callable[[floa
     """3 cm apart; and 0 from themselves, not the spacing of the points."""
     for height in (0.0, 3.0):
         assert distance(shapes[0](0.0), shapes[1](height)) == pytest.approx(height, abs=1e-6)
-
-
-def test_a_part_lies_on_the_whole_one_way() -> None:
-    """A square of half the side: on the larger one, which is up to 14 cm away from it."""
-    part, whole = square(0.0, side=20.0), square(0.0)
-    assert distance(part, whole, both_ways=False) == pytest.approx(0, abs=1e-9)
-    assert 1 < distance(part, whole) < 5
-
-
-def test_distances_have_an_upper_bound() -> None:
-    assert distance(square(0.0), square(5000.0)) == WORST
 
 
 def test_inputs_are_read_as_meshes_and_points(tmp_path: Path) -> None:
@@ -196,14 +183,6 @@ def test_box_meshes_of_a_garment_moved_by_2_cm(skirt: Pattern) -> None:
     assert box_mesh_distance(skirt, skirt, spacing=4.0)[0] == pytest.approx(0, abs=1e-3)
 
 
-def test_a_garment_without_a_box_mesh_is_far_away(skirt: Pattern) -> None:
-    enormous = each(lambda panel: replace(panel, vertices=40 * panel.vertices))(skirt)
-    for other in (Pattern("", (), ()), enormous):
-        apart, [remark] = box_mesh_distance(other, skirt)
-        assert apart == WORST
-        assert remark.startswith("prediction has no box mesh")
-
-
 # -------------------------------------------------------------------------------------------------------------- bodies
 
 
@@ -224,20 +203,6 @@ def test_bodies_of_a_folder(tmp_path: Path) -> None:
     )
     male = wearers.wearer("top", legs_apart=True)[0]
     assert np.ptp(male.vertices[:, 1]) > np.ptp(build_body(neutral_shape()).vertices[:, 1])
-
-
-def test_mesh_files_of_bodies(tmp_path: Path) -> None:
-    """The apart file serves garments with legs; measures of the straight body serve both."""
-    size = measure(build_body(neutral_shape()))
-    for name, legs_apart in (("default", False), ("default_apart", True)):
-        body = build_body(neutral_shape(legs_apart=legs_apart))
-        trimesh.Trimesh(body.vertices, body.faces, process=False).export(tmp_path / f"{name}.ply")
-    write_measurements(replace(size, waist=77.0), tmp_path / "default.yaml")
-    wearers = wearers_of(str(tmp_path))
-    straight, apart = (wearers.wearer("dress", legs_apart=legs) for legs in (False, True))
-    assert straight[1].waist == apart[1].waist == 77.0
-    feet = [np.ptp(body.vertices[body.vertices[:, 1] < 5.0, 0]) for body, _ in (straight, apart)]
-    assert feet[1] > feet[0] + 2
 
 
 def test_missing_and_broken_bodies(tmp_path: Path) -> None:
@@ -264,21 +229,6 @@ def test_the_same_garment_is_arranged_as_the_true_one(change: str, skirt: Patter
         ours = arranged(SAME[change](whole), whole)
         assert ours.panels == whole.panels
         assert ours.seams == whole.seams
-
-
-def test_arranging_rounds_no_real_difference() -> None:
-    whole = garment()
-    moved = each(lambda panel: replace(panel, vertices=1.001 * panel.vertices))(SAME["all of it"](whole))
-    ours = arranged(moved, whole)
-    assert [panel.name for panel in ours.panels] == [panel.name for panel in whole.panels]
-    assert ours.seams == whole.seams
-    for panel, own, true in zip(
-        ours.panels, each(lambda p: replace(p, vertices=1.001 * p.vertices))(whole).panels, whole.panels, strict=True
-    ):
-        assert panel != true
-        assert np.allclose(panel.edge_lengths(), own.edge_lengths(), rtol=1e-3)
-        placed, wanted = (p.placement.apply(p.vertices[[e.start for e in p.edges]]) for p in (panel, true))
-        assert np.abs(placed - wanted).max() < 0.2  # 0.1 % of panels of 60 cm, and of moved origins
 
 
 def test_arranging_keeps_panels_and_seams_without_a_match() -> None:
@@ -324,23 +274,78 @@ def test_predictions_are_draped_and_compared_with_the_true_drape(skirt: Pattern)
     assert rows["none"].failure == "no prediction"
 
 
-def test_drapes_are_compared_with_the_input(skirt: Pattern) -> None:
-    """The input lies 50 cm higher than any drape of the garment."""
-    high = garment_surface(skirt, lift=50.0)
-    [row] = with_drapes(
-        [score_garment("skirt", skirt, skirt, spacing=8.0)],
-        wearers_of("neutral"),
-        inputs={"skirt": high},
-        spacing=8.0,
-        device="cpu",
-    )
-    assert row.values["topology_exact"] == 1
-    assert row.values["redrape_cd_cm"] > 10
-    assert row.values["within_1cm"] == 0
+# -------------------------------------------------------------------------------------------------------------- judging
 
 
-def garment_surface(pattern: Pattern, *, lift: float) -> MeshShape:
-    from gcd_dataset.generator.mesh import build_box_mesh
+CPU = torch.device("cpu")
 
-    mesh = build_box_mesh(pattern, spacing=8.0)
-    return MeshShape.of(mesh.vertices + [0.0, lift, 0.0], mesh.faces)
+
+def files_in(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+@pytest.mark.parametrize(("task", "answer"), [("T4", nearest_labels), ("T5", mean_measures), ("T6", box_mesh)])
+def test_answers_are_drawn_and_written(
+    task: str, answer: Callable[..., list[Any]], draped: GarmentSet, tmp_path: Path
+) -> None:
+    answers, judge = answer(draped, draped, device=CPU), judge_of(task_named(task), watching=True)
+    assert judge.picture(answers, draped).ndim == 3
+    judge.write(answers, draped, tmp_path)
+    assert sorted(judge.files(draped)) == files_in(tmp_path)
+    assert len(judge.scores(answers, draped)) == len(draped)
+
+
+def test_the_nearer_of_two_faces_is_seen() -> None:
+    low, high = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0]], float), np.array([[0, 0, 5], [9, 0, 5], [0, 9, 5]], float)
+    vertices, faces = np.concatenate([low, high]), np.array([[0, 1, 2], [3, 4, 5]])
+    picture = draw_mesh(vertices, faces, np.array([0, 1]), frame=vertices, size=60)
+    assert np.allclose(picture[35, 25] / 255, PALETTE[1], atol=0.02)
+
+
+def test_the_evaluator_reads_inputs_and_bodies_of_draped_garments(tmp_path: Path) -> None:
+    garments = generated(2, 0, points=512, extra=("pose",), drape=None, resolution=8.0, design=SKIRTS)
+    truth = [garments.pattern(k) for k in range(2)]
+    Patterns(draped=True).write(truth, garments, tmp_path)
+    assert sorted(Patterns(draped=True).files(garments)) == files_in(tmp_path)
+    wearers = wearers_of(str(tmp_path / "bodies"))
+    for key, pattern in zip(garments.keys, truth, strict=True):
+        assert read_pattern(tmp_path / "truth" / f"{key}.json").extra["properties"]["kind"] == "skirt"
+        points = read_shape(tmp_path / "inputs" / f"{key}.npy").samples
+        places = build_box_mesh(pattern, spacing=8.0).vertices
+        assert np.abs(np.ptp(points, axis=0) - np.ptp(places, axis=0)).max() < 5.0
+        assert np.abs(points.max(axis=0) - places.max(axis=0)).max() < 5.0
+        assert 140.0 < wearers.wearer(key, legs_apart=False)[1].height < 210.0
+    Patterns().write(truth, garments, tmp_path / "flat")
+    assert not (tmp_path / "flat" / "inputs").exists()
+    assert sorted(Patterns().files(garments)) == files_in(tmp_path / "flat")
+
+
+def test_lengths_and_angles_have_errors_of_their_own() -> None:
+    true = np.full(len(MEASURES), 40.0)
+    answer = true + [3.0 if name in ANGLES else -2.0 for name in MEASURES]
+    score = score_measures(answer, true)
+    assert (score.error_cm, score.error_degrees, score.waist) == (2, 3, 2)
+    with pytest.raises(ValueError, match="25 measures"):
+        score_measures(answer[1:], true)
+
+
+def test_the_references_answer_from_known_bodies(draped: GarmentSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    scans = scans_of(draped)
+    monkeypatch.setattr(baselines, "scans_of", lambda garments, workers: scans)
+    mean = mean_measures(draped, draped, device=CPU)
+    assert np.allclose(mean[0], draped.measures.mean(axis=0), atol=1e-3)
+    for k, answer in enumerate(nearest_measures(draped, draped, device=CPU)):
+        assert np.allclose(answer, draped.measures[k])
+
+
+def test_scans_show_cloth_and_skin(draped: GarmentSet) -> None:
+    for scan in scans_of(draped):
+        heights = 100 * scan[:, 1] + 100
+        on_cloth = scan[:, 6] > 0
+        assert 0.05 < on_cloth.float().mean() < 0.95
+        assert heights.min() > -2
+        assert heights[~on_cloth].max() > heights[on_cloth].max()  # skirts end below the head
+
+
+def test_a_scan_depends_on_its_garment_alone(draped: GarmentSet) -> None:
+    assert torch.equal(scans_of(draped.select([1]))[0], scans_of(draped)[1])

@@ -1,19 +1,32 @@
 """Meshes as networks see them: nothing depends on the order of vertices; distances follow the surface."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
+from benchmarks.reconstruction.derived import MIRRORED, PANEL_CLASSES, panel_class
+from benchmarks.reconstruction.drapes import (
+    DrapedVertices,
+    counted,
+    score_drapes,
+)
+from benchmarks.reconstruction.garments import GarmentSet, Ragged
+from benchmarks.reconstruction.models.baselines import box_mesh, solver
+from benchmarks.reconstruction.models.drape_surrogate import build as build_surrogate
+from benchmarks.reconstruction.models.drape_surrogate import depth, nearest_skin
+from benchmarks.reconstruction.models.segmentation import build, set_loss
 from benchmarks.reconstruction.surface_net import of_neighbours
 from benchmarks.reconstruction.surfaces import (
     NEIGHBOURS,
-    Surface,
+    SurfaceArrays,
     SurfaceStore,
-    cloud_of,
     drawn_turn,
     surface_of,
-    vertex_normals,
 )
+from benchmarks.reconstruction.vertex_labels import TrueLabels, VertexLabels, VertexScore, score_labels, true_labels
+from gcd_dataset.tensors import EDGE_LABELS
 
 CPU = torch.device("cpu")
 
@@ -51,16 +64,6 @@ def test_clusters_follow_the_surface() -> None:
     assert not set(found[: len(points)]) & set(found[len(points) :])
 
 
-def test_pieces_without_a_centre_have_the_nearest_cluster() -> None:
-    """Three triangles and two centres, which are the farthest apart."""
-    corner = np.array([[0.0, 100, 0], [1, 100, 0], [0, 101, 0]])
-    points = np.concatenate([corner, corner + [9, 0, 0], corner + [40, 0, 0]])
-    found = surface_of(points, np.arange(9).reshape(3, 3), clusters=2).clusters
-    assert len(set(found[:6])) == 1
-    assert len(set(found[6:])) == 1
-    assert found[0] != found[6]
-
-
 def test_neighbours_are_joined_by_edges() -> None:
     points, faces = sheet()
     found = surface_of(points, faces, clusters=4)
@@ -73,12 +76,6 @@ def test_neighbours_are_joined_by_edges() -> None:
         assert others == {b for a, b in joined if a == vertex}
 
 
-def test_the_border_of_a_sheet() -> None:
-    found = surface_of(*sheet(4, 4), clusters=2).shape[:, -1].reshape(4, 4)
-    assert found.sum() == 12
-    assert not found[1:-1, 1:-1].any()
-
-
 def test_the_angle_defects_of_a_closed_mesh_sum_to_two_turns() -> None:
     """Gauss-Bonnet, on an octahedron; each of its vertices has four neighbours."""
     points = np.concatenate([np.eye(3), -np.eye(3)])
@@ -88,12 +85,6 @@ def test_the_angle_defects_of_a_closed_mesh_sum_to_two_turns() -> None:
     assert shape[:, 0] == pytest.approx(4 / 6)
     assert shape[:, 1:4] == pytest.approx(1.0)
     assert not shape[:, 5].any()
-
-
-def test_normals_of_a_flat_sheet_are_upright() -> None:
-    points, faces = sheet()
-    points[:, 2] = 0.0
-    assert np.allclose(vertex_normals(points, faces), [0, 0, 1])
 
 
 def test_a_batch_holds_its_garments_one_after_the_other() -> None:
@@ -127,17 +118,6 @@ def test_a_turn_keeps_shapes_and_does_not_depend_on_the_batch() -> None:
     assert moved.positions.shape == batch.positions.shape
 
 
-def test_neighbours_of_points_are_the_nearest_of_each_other() -> None:
-    points, _ = sheet()
-    found = cloud_of(points, np.ones_like(points), clusters=4)
-    apart = ((points[:, None] - points) ** 2).sum(axis=2)
-    nearest = [set(row) for row in np.argsort(apart, axis=1)[:, 1 : 1 + NEIGHBOURS].tolist()]
-    for row, others in enumerate(nearest):
-        expected = {other for other in others if row in nearest[other]}
-        assert set(found.neighbours[row].tolist()) - {row} == expected
-    assert_reverse_edges(found)
-
-
 def test_a_vertex_of_many_neighbours_keeps_the_nearest() -> None:
     """A fan of more triangles than a vertex has neighbours: those that it does not keep do not keep it."""
     count = NEIGHBOURS + 4
@@ -154,7 +134,7 @@ def test_a_vertex_of_many_neighbours_keeps_the_nearest() -> None:
     assert_reverse_edges(found)
 
 
-def assert_reverse_edges(surface: Surface) -> None:
+def assert_reverse_edges(surface: SurfaceArrays) -> None:
     entries = surface.reverse.ravel()
     assert np.array_equal(np.sort(entries), np.arange(len(entries)))
     own = np.repeat(np.arange(len(surface.neighbours)), NEIGHBOURS)
@@ -173,3 +153,154 @@ def test_the_gradient_of_neighbours_adds_up_what_each_vertex_gave() -> None:
     (gradient,) = torch.autograd.grad((found * weights).sum(), values)
     (expected,) = torch.autograd.grad((values[batch.neighbours] * weights).sum(), values)
     assert torch.allclose(gradient, expected, atol=1e-12)
+
+
+# -------------------------------------------------------------------------------------------------------- vertex labels
+
+
+def strip() -> TrueLabels:
+    """Ten vertices in a row on two panels; vertex 4 is on the seam between them, vertex 0 on a labelled edge."""
+    panels = np.zeros((10, 2), bool)
+    panels[:5, 0] = panels[4:, 1] = True
+    classes, edges = np.zeros((10, len(PANEL_CLASSES)), bool), np.zeros((10, len(EDGE_LABELS)), bool)
+    classes[:5, 3] = classes[4:, 7] = True
+    edges[0, 2] = edges[1:, 0] = True
+    seams = np.zeros((10, 1), bool)
+    seams[4] = True
+    return TrueLabels(panels, classes, seams, edges)
+
+
+PERFECT = dict.fromkeys(VertexScore.__dataclass_fields__, 1.0)
+PANELS, ON_SEAM = np.array([0, 0, 0, 0, 1, 1, 1, 1, 1, 1]), np.arange(10) == 4
+EDGES = np.where(np.arange(10) == 0, 2, 0)
+RIGHT = {"panels": PANELS, "classes": np.where(PANELS, 7, 3), "seams": np.where(ON_SEAM, 0, -1), "edges": EDGES}
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({}, PERFECT),
+        ({"panels": np.where(ON_SEAM, 0, PANELS)}, PERFECT),  # a seam vertex may have either panel
+        ({"panels": 31 - 27 * PANELS, "seams": np.where(ON_SEAM, 77, -1)}, PERFECT),  # only numbers
+        ({"panels": np.repeat([0, 1, 5], [4, 3, 3])}, {"panel_label": 0.7, "panel_count_acc": 0, "panels_exact": 0}),
+        ({"panels": np.zeros(10, int)}, {"panel_label": 0.6}),
+        ({"seams": np.where(np.arange(10) == 5, 0, -1)}, {"seam_label": 0.8, "on_seam_label": 0, "seam_f1": 0}),
+        ({"edges": np.zeros(10, int)}, {"edge_label": 0.9, "on_edge_label": 0}),
+    ],
+)
+def test_labels_are_scored(changed: dict[str, np.ndarray], expected: dict[str, float]) -> None:
+    found = vars(score_labels(VertexLabels(**{**RIGHT, **changed}), strip()))
+    assert {name: found[name] for name in expected} == pytest.approx(expected)
+
+
+def test_mirrored_classes_name_the_other_side() -> None:
+    left, right_class = panel_class("left_sleeve_f"), panel_class("right_sleeve_f")
+    assert MIRRORED[left] == right_class
+    assert MIRRORED[panel_class("pant_l_cuff_f")] == panel_class("pant_r_cuff_f")
+    assert MIRRORED[panel_class("wb_front")] == panel_class("wb_front")
+    assert [MIRRORED[row] for row in MIRRORED] == list(range(len(PANEL_CLASSES)))
+
+
+def test_all_vertices_of_a_garment_have_labels(draped: GarmentSet) -> None:
+    for k in range(len(draped)):
+        true = true_labels(draped, k)
+        assert true.panels.any(axis=1).all() and true.classes.any(axis=1).all() and true.edges.any(axis=1).all()
+        assert true.panels.any(axis=0).all()
+        # A vertex of several panels is on a seam.
+        assert true.seams[true.panels.sum(axis=1) > 1].any(axis=1).all()
+
+
+INSIDE = torch.ones(1, 6)
+
+
+def members(*numbers: int) -> torch.Tensor:
+    return torch.eye(3, dtype=torch.bool)[list(numbers)][None]
+
+
+def test_the_loss_of_sets_does_not_depend_on_their_numbering() -> None:
+    logits = torch.randn(1, 6, 4, generator=torch.Generator().manual_seed(0))
+    one, other = members(0, 0, 1, 1, 2, 2), members(2, 2, 0, 0, 1, 1)
+    for a, b in zip(set_loss(logits, one, INSIDE), set_loss(logits, other, INSIDE), strict=True):
+        assert torch.allclose(a, b)
+
+
+def test_shuffled_meshes_get_the_same_labels_shuffled(draped: GarmentSet) -> None:
+    torch.manual_seed(0)
+    learner = build(smoke=True, options={}).eval()
+    garment = draped.select([0])
+    order = np.random.default_rng(0).permutation(len(garment.ragged["verts"][0]))
+    place = np.argsort(order)
+    ragged = dict(garment.ragged)
+    ragged["verts"] = Ragged.of([garment.ragged["verts"][0][order]])
+    ragged["faces"] = Ragged.of([place[garment.ragged["faces"][0]].astype(np.int32)[::-1]])
+    ragged["panel_id"] = Ragged.of([garment.ragged["panel_id"][0][::-1]])
+    for name in ("seams", "labels"):
+        pairs = garment.ragged[name][0].copy()
+        pairs[:, 0] = place[pairs[:, 0]]
+        ragged[name] = Ragged.of([pairs])
+    other = replace(garment, ragged=ragged)
+    (one,), (two,) = (
+        learner.predict(learner.prepare(g, device=CPU).batch(torch.tensor([0]))) for g in (garment, other)
+    )
+    assert np.mean(one.panels[order] == two.panels) > 0.99  # up to rounding
+    assert np.mean(one.classes[order] == two.classes) > 0.99
+    assert score_labels(one, true_labels(garment, 0)).panel_label == pytest.approx(
+        score_labels(two, true_labels(other, 0)).panel_label, abs=0.02
+    )
+
+
+# --------------------------------------------------------------------------------------------------------------- drapes
+
+
+def true_drapes(garments: GarmentSet) -> list[DrapedVertices]:
+    return [DrapedVertices(garments.ragged["verts"][k].astype(float), 1.0) for k in range(len(garments))]
+
+
+def test_a_drape_moved_by_2_cm_has_an_error_of_2_cm(draped: GarmentSet) -> None:
+    moved = [replace(answer, vertices=answer.vertices + [0, 2, 0]) for answer in true_drapes(draped)]
+    for score in score_drapes(moved, draped, crossings=False):
+        assert score.error_cm == pytest.approx(2)
+        assert score.error_p95_cm == pytest.approx(2)
+        assert score.stretch_error == pytest.approx(0, abs=1e-6)
+        assert (score.within_1cm, score.ms) == (0, 1)
+
+
+def test_crossings_are_counted_on_the_wearer(draped: GarmentSet) -> None:
+    one = draped.select([0])
+    vertices = true_drapes(one)[0].vertices
+    ((_, few, _),) = counted([vertices], one, device="cpu")
+    ((_, many, through),) = counted([vertices - [8, 0, 8]], one, device="cpu")
+    assert few < 5 < many
+    assert through > 5
+
+
+def test_the_solver_drapes_a_garment_as_before(draped: GarmentSet) -> None:
+    one = draped.select([0])
+    (score,) = score_drapes(solver(one, one, device=CPU), one, crossings=False)
+    (unmoved,) = score_drapes(box_mesh(one, one, device=CPU), one, crossings=False)
+    assert score.error_cm < 2 < unmoved.error_cm
+    assert score.ms > 0
+
+
+def test_depth_is_measured_below_the_skin(draped: GarmentSet) -> None:
+    examples = build_surrogate(smoke=True, options={"body": 64}).prepare(draped, device=CPU)
+    batch = examples.batch(torch.tensor([0]))
+    points, normals = batch.body[0, :5, :3], batch.body[0, :5, 3:]
+    surface = replace(
+        batch.surface, counts=torch.tensor([5]), garments=torch.zeros(5, dtype=torch.int64), slots=torch.arange(5)
+    )
+    assert torch.allclose(depth(points - 0.001 * normals, surface, batch.body), torch.full((5,), 0.004), atol=1e-5)
+    assert not depth(points + 0.01 * normals, surface, batch.body).any()
+    assert torch.allclose(nearest_skin(points, surface, batch.body)[:, :3], torch.zeros(5, 3), atol=1e-5)
+
+
+def test_a_turned_batch_is_the_same_drape(draped: GarmentSet) -> None:
+    """A turn and a mirror image move cloth, body and drape together: distances between them stay."""
+    examples = build_surrogate(smoke=True, options={"body": 64}).prepare(draped, device=CPU)
+    rows = torch.arange(2)
+    plain, moved = examples.batch(rows), examples.batch(rows, torch.Generator().manual_seed(3))
+    first = slice(0, 50)
+    for one, other in ((plain.draped, moved.draped), (plain.surface.positions, moved.surface.positions)):
+        before, after = (torch.cdist(a[first], b[0, :, :3]) for a, b in ((one, plain.body), (other, moved.body)))
+        assert torch.allclose(before, after, atol=1e-4)
+    assert not torch.allclose(plain.draped, moved.draped)

@@ -80,30 +80,6 @@ def test_a_signal_ends_the_training_with_a_checkpoint(number: signal.Signals, tm
     assert same(trained(tmp_path), trained())
 
 
-def test_a_finished_training_is_read_from_its_checkpoint(tmp_path: Path) -> None:
-    assert same(trained(tmp_path), trained(tmp_path))
-
-
-def test_examples_are_prepared_unless_the_training_is_finished(tmp_path: Path) -> None:
-    prepared = []
-
-    def prepare() -> Line:
-        prepared.append(1)
-        return line()
-
-    arguments: dict[str, Any] = {"device": torch.device("cpu"), "out": tmp_path}
-    with pytest.raises(StoppedError):
-        train(LineLearner(), prepare, CONFIG, limit=0.0, **arguments)
-    found = train(LineLearner(), prepare, CONFIG, **arguments)
-    assert same(train(LineLearner(), prepare, CONFIG, **arguments), found)
-    assert len(prepared) == 2
-
-
-def test_the_same_seed_gives_the_same_weights_and_another_seed_others() -> None:
-    assert same(trained(), trained())
-    assert not same(trained(), trained(config=TrainConfig(steps=40, batch=8, lr=0.1, log_every=10, seed=1)))
-
-
 def test_compiling_changes_no_step(monkeypatch: pytest.MonkeyPatch) -> None:
     compiled: list[LineLearner] = []
     monkeypatch.setattr(LineLearner, "compile_parts", lambda self: compiled.append(self))
@@ -224,19 +200,10 @@ def contents(found: FreshPool[Line]) -> list[float]:
     return found.batch(torch.arange(len(found))).y.tolist()
 
 
-def test_a_pool_begins_with_the_examples_given() -> None:
-    assert contents(pool(numbered(0, 1, 2), fresh=0, room=5)) == [0, 1, 2]
-
-
 def test_fresh_examples_fill_the_room_then_replace_the_oldest() -> None:
     found = pool(numbered(0, 1), fresh=5, room=4)
     advance_to(found, 4)
     assert contents(found) == [103, 104, 100, 101]
-
-
-def test_a_first_example_without_room_is_refused() -> None:
-    with pytest.raises(ConfigError, match="room 2: give room for the 3 examples"):
-        pool(numbered(0, 1, 2), fresh=0, room=2)
 
 
 def test_a_pool_continues_after_the_last_index_received() -> None:

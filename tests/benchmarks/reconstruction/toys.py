@@ -1,15 +1,23 @@
 """A learner that fits a line, for tests of the training loop."""
 
-import os
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from math import cos, sin
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from benchmarks.reconstruction.learners import Learner, TensorExamples
-from benchmarks.reconstruction.training import TrainConfig, one_of_several_ranks, train
+from benchmarks.reconstruction.models.stitches import (
+    StitchConfig,
+    StitchNet,
+)
+from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
+from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
+from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.tensors import encode_pattern
 
 
 @dataclass(frozen=True)
@@ -44,13 +52,95 @@ class LineLearner(Learner[Line, float]):
             return self.net(batch.x)[:, 0].tolist()
 
 
-def train_rank(rank: int, world: int, port: int, steps: int, file: Path) -> None:
-    """Train as one rank of several, which meet at a store on ``port``, and write the first rank's weights."""
-    os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank), "WORLD_SIZE": str(world), "MASTER_PORT": str(port)}
-    os.environ |= {"MASTER_ADDR": "127.0.0.1", "TORCHELASTIC_USE_AGENT_STORE": "True"}
-    os.environ["TORCHELASTIC_RESTART_COUNT"] = "0"
-    torch.set_num_threads(1)
-    with one_of_several_ranks("cpu") as device:
-        found = train(LineLearner(), line(), TrainConfig(steps=steps, batch=8, lr=0.1), device=device)
-    if rank == 0:
-        torch.save(found.learner.state_dict(), file)
+# -------------------------------------------------------------------------------------------------------- sewn patterns
+
+
+SMALL = StitchConfig(width=32, heads=2, layers=2, pair_width=16)
+HEM, SIDE_R, ARMHOLE_R, SHOULDER_R, NECK, SHOULDER_L, ARMHOLE_L, SIDE_L = range(8)
+WRIST, UNDERARM_1, CAP_1, CAP_2, UNDERARM_2 = range(5)
+
+
+def panel(
+    name: str, corners: Sequence[tuple[float, float]], curves: dict[int, Curve], place: tuple[float, ...]
+) -> Panel:
+    edges = tuple(Edge(i, (i + 1) % len(corners), curves.get(i, LINE)) for i in range(len(corners)))
+    return Panel(name, np.array(corners, float), edges, Placement(np.array(place, float), np.zeros(3)))
+
+
+def rectangle(name: str, width: float, height: float, x: float = 0.0) -> Panel:
+    return panel(name, [(0, 0), (width, 0), (width, height), (0, height)], {}, (x, 0.0, 0.0))
+
+
+def t_shirt() -> Pattern:
+    """Front, back and two sleeves in one piece; the cap of a sleeve is two arcs of one circle."""
+    corners = [(-25, 0), (25, 0), (25, 40), (20, 60), (8, 62), (-8, 62), (-20, 60), (-25, 40)]
+    half, radius = float(np.hypot(5, 20)), 30.0
+    angle = half / radius
+    end, top = radius * sin(angle), radius * (1 - cos(angle))
+    cap = [(-15.0, -30.0), (15.0, -30.0), (end, 0.0), (0.0, top), (-end, 0.0)]
+    arc = Arc(radius, large=False, right=True)
+    panels = (
+        panel("front", corners, {NECK: Quadratic((0.5, 0.5))}, (0, 80, 20)),
+        panel("back", corners, {NECK: Quadratic((0.5, 0.1))}, (0, 80, -20)),
+        panel("one", cap, {CAP_1: arc, CAP_2: arc}, (60, 120, 0)),
+        panel("two", cap, {CAP_1: arc, CAP_2: arc}, (-60, 120, 0)),
+    )
+    pairs = [
+        ("front", SIDE_R, "back", SIDE_L), ("front", SIDE_L, "back", SIDE_R),
+        ("front", SHOULDER_R, "back", SHOULDER_L), ("front", SHOULDER_L, "back", SHOULDER_R),
+        ("front", ARMHOLE_R, "one", CAP_2), ("back", ARMHOLE_L, "one", CAP_1),
+        ("front", ARMHOLE_L, "two", CAP_1), ("back", ARMHOLE_R, "two", CAP_2),
+        ("one", UNDERARM_1, "one", UNDERARM_2), ("two", UNDERARM_1, "two", UNDERARM_2),
+    ]  # fmt: skip
+    return Pattern("t_shirt", panels, tuple(Seam(EdgeRef(a, i), EdgeRef(b, j)) for a, i, b, j in pairs))
+
+
+def tube() -> Pattern:
+    """Two equal rectangles sewn at both sides, with a belt of two at the top."""
+    panels = (*(rectangle(name, 40, 60) for name in ("f", "b")), *(rectangle(name, 40, 5) for name in ("bf", "bb")))
+    pairs = [("f", 1, "b", 3), ("f", 3, "b", 1), ("bf", 1, "bb", 3), ("bf", 3, "bb", 1), ("f", 2, "bf", 0)]
+    pairs.append(("b", 2, "bb", 0))
+    return Pattern("tube", panels, tuple(Seam(EdgeRef(a, i), EdgeRef(b, j)) for a, i, b, j in pairs))
+
+
+def rewritten(pattern: Pattern, rng: np.random.Generator) -> tuple[Pattern, dict[EdgeRef, EdgeRef]]:
+    """The same garment in another file: panels reordered, renamed, turned and moved, loops started elsewhere."""
+    panels, new_ref = [], {}
+    for number in rng.permutation(len(pattern.panels)).tolist():
+        old = pattern.panels[number]
+        shift, angle = int(rng.integers(len(old.edges))), float(rng.uniform(0, 6))
+        turn = np.array([[cos(angle), -sin(angle)], [sin(angle), cos(angle)]])
+        name = f"panel {rng.integers(10**9)}"
+        edges = old.edges[shift:] + old.edges[:shift]
+        panels.append(Panel(name, old.vertices @ turn.T + rng.normal(size=2), edges, old.placement))
+        for i in range(len(edges)):
+            new_ref[EdgeRef(old.name, (i + shift) % len(edges))] = EdgeRef(name, i)
+    seams = tuple(Seam(new_ref[s.left], new_ref[s.right], s.right_wrong) for s in pattern.seams)
+    return Pattern("other", tuple(panels), seams), new_ref
+
+
+def batch_of(*patterns: Pattern) -> EdgeBatch:
+    return PackedGraphs.of([graph_of(pattern) for pattern in patterns])[torch.arange(len(patterns))]
+
+
+def net_of(config: StitchConfig = SMALL) -> StitchNet:
+    torch.manual_seed(0)
+    return StitchNet(config).eval()
+
+
+def nothing_known(batch: EdgeBatch) -> torch.Tensor:
+    return torch.full_like(batch.partners, -1)
+
+
+def seams_of(pattern: Pattern) -> set[frozenset[EdgeRef]]:
+    return {frozenset((seam.left, seam.right)) for seam in pattern.seams}
+
+
+def encode(pattern: Pattern) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    tensor = encode_pattern(pattern)
+    return tensor.panels, tensor.edges, tensor.stitches
+
+
+def rows_of(pattern: Pattern) -> list[tuple[int, int]]:
+    rows = {ref: row for row, ref in enumerate(edge_refs(pattern))}
+    return [(rows[seam.left], rows[seam.right]) for seam in pattern.seams]

@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 from scipy.optimize import brentq
 
-from benchmarks.strips import (
+from benchmarks.cloth_tests import (
     LEVEL,
     Direction,
     Grain,

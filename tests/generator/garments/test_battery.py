@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
-from benchmarks.comparison import compare
+from benchmarks.cases.parity import compare
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import BodyError, ConfigError, PatternError
 from gcd_dataset.faults import Rule, check_pattern, require_valid

@@ -1,1 +1,0 @@
-"""Scores of predicted patterns that are files, or that need the generator: box meshes, drapes, tables."""

@@ -1,0 +1,141 @@
+"""Every network learns, several processes make what one makes, and slow figures of single cases: a minute."""
+
+import json
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch._subclasses.fake_tensor import FakeTensorMode
+
+from benchmarks.cases import parity
+from benchmarks.cloth_tests import drape_coefficient
+from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
+from benchmarks.reconstruction.evaluate import main as evaluate
+from benchmarks.reconstruction.garments import GarmentSet, generated
+from benchmarks.reconstruction.models import load_model, panel_set
+from benchmarks.reconstruction.picture_inputs import Input, rendering
+from benchmarks.reconstruction.tasks import NAMED
+from benchmarks.reconstruction.training import TrainConfig, train
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.drape import Fabric
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.tensors import PANEL_LABELS
+from tests.benchmarks.reconstruction.conftest import SKIRTS
+from tests.benchmarks.reconstruction.test_evaluate import figures, save
+from tests.benchmarks.reconstruction.test_networks import SIZES, network
+from tests.benchmarks.test_pictures_matter import stored_garments
+
+CPU = torch.device("cpu")
+FEW = {"points": 128, "stored_points": 512, "tokens": 16}
+
+
+@pytest.fixture(scope="module")
+def skirts() -> GarmentSet:
+    """Six skirts with pictures."""
+    extra = (*NAMED, "box_labels", "pictures", "shown")
+    return generated(6, 0, points=512, extra=extra, drape="warp", resolution=6.0, design=SKIRTS)
+
+
+@pytest.mark.parametrize(
+    ("model", "options"),
+    [
+        ("panel_set", FEW),
+        ("edge_tokens", FEW),
+        ("parameters", {**FEW, "labelled": 1}),
+        ("picture_set", {"views": 1}),
+        ("picture_parameters", {"views": 1}),
+    ],
+)
+def test_the_loss_falls(model: str, options: dict[str, int], skirts: GarmentSet) -> None:
+    torch.manual_seed(0)
+    learner = load_model(model).build(smoke=True, options=options)
+    config = TrainConfig(steps=30, batch=6, lr=4e-3, log_every=5, weight_decay=0.0)
+    curve = train(learner, learner.prepare(skirts, device=CPU), config, device=CPU).curve
+    assert curve[-1]["loss"] < 0.9 * curve[0]["loss"]
+
+
+@pytest.mark.parametrize("model", SIZES)
+def test_a_step_reads_no_value_of_the_device(model: str, skirts: GarmentSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reading one would wait for a GPU; fake tensors have no values, and no memory for Warp."""
+    learner = network(model)
+    batch = learner.prepare(skirts, device=CPU).batch(torch.arange(2))
+    monkeypatch.setattr(panel_set, "least_cost", lambda cost, asked: torch.zeros(asked.shape, dtype=torch.int64))
+    with FakeTensorMode(allow_non_fake_inputs=True):
+        assert all(part.shape == () for part in learner.loss(batch).values())
+
+
+def test_garments_are_seen_in_drawn_pictures() -> None:
+    one = generated(1, 0, points=0, extra=("pictures", "shown"), resolution=8.0, design=SKIRTS)
+    pictures, shown = one.ragged["pictures"][0], one.ragged["shown"][0]
+    panels = (shown[shown >= FIRST_PANEL] - FIRST_PANEL) // len(PANEL_LABELS)
+    assert shown.shape == pictures.shape[:-1]
+    assert set(panels.tolist()) == set(range(len(one.pattern(0).panels)))
+    assert pictures.shape == (PICTURES, PICTURE_SIZE, PICTURE_SIZE, 3)
+    assert pictures.dtype == np.uint8
+    assert all(picture.std() > 5 for picture in pictures)
+    assert not np.array_equal(pictures[0], pictures[1])
+
+
+@pytest.mark.parametrize("model", ["panel_set", "picture_set"])
+def test_processes_encode_the_same_targets(model: str, skirts: GarmentSet) -> None:
+    learner = load_model(model).build(smoke=True, options={})
+    one, two = (learner.prepare(skirts, device=CPU, workers=workers).whole for workers in (0, 2))
+    assert all(torch.equal(value, getattr(two, name)) for name, value in vars(one).items())
+
+
+def test_drapes_that_workers_make_ahead_are_the_same_set() -> None:
+    options: dict[str, Any] = {"points": 64, "drape": "warp", "resolution": 8.0, "design": Overlay.from_dict(SKIRTS)}
+    options |= {"device": "cpu", "extra": ("pose", "verts")}
+    ahead, alone = generated(3, 0, workers=2, **options), generated(3, 0, **options)
+    assert ahead.patterns_hash == alone.patterns_hash
+    assert np.array_equal(ahead.points, alone.points)
+    assert all(np.array_equal(ahead.ragged["verts"][k], alone.ragged["verts"][k]) for k in range(len(alone)))
+
+
+def test_processes_render_the_same_pictures_as_a_thread(tmp_path: Path) -> None:
+    folder, by_count = str(stored_garments(tmp_path)), []
+    for processes in (1, 2):
+        options: dict[str, Any] = {"seed": 0, "size": 16, "device": "cpu", "processes": processes, "readings": 1}
+        with rendering(folder, range(3), [Input.DRAWN], **options) as batches:
+            by_count.append({k: p for b in batches for k, p in zip(b.positions.tolist(), b.pictures, strict=True)})
+    assert set(by_count[0]) == set(by_count[1]) == {0, 1, 2}
+    assert all((by_count[0][k] == by_count[1][k]).all() for k in range(3))
+
+
+def test_the_drape_coefficient_of_a_rigid_disc_is_100() -> None:
+    rigid = Fabric(density=0.2, tensile=1e4, bending=1.0)
+    assert drape_coefficient(rigid, spacing=2.0, edge=2.0) == pytest.approx(100.0, abs=0.2)
+
+
+def test_several_processes_score_alike_and_the_headline_counts_right_drapes_of_all_garments(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A copy, a copy without one seam, and no prediction: a third."""
+    skirt = draw_garment(measure(build_body(neutral_shape())), design_from_dict({"meta": {"bottom": "PencilSkirt"}}))
+    true = save(tmp_path / "true", dict.fromkeys("abc", skirt))
+    ours = save(tmp_path / "ours", {"a": skirt, "b": replace(skirt, seams=skirt.seams[:-1])})
+    printed = []
+    for workers in (1, 2):
+        assert evaluate([str(ours), str(true), "--quiet", "--workers", str(workers)]) == 0
+        printed.append(capsys.readouterr().out)
+    assert printed[0] == printed[1]
+    json_file = tmp_path / "out.json"
+    options = ["--drape", "--resolution", "8", "--device", "cpu", "--quiet", "--json", str(json_file)]
+    assert evaluate([str(ours), str(true), *options]) == 0
+    found = figures(capsys.readouterr().out)
+    assert found["within_1cm"] == found["topology_exact"] == pytest.approx(1 / 3, abs=1e-4)
+    rows = {row["name"]: row for row in json.loads(json_file.read_text())["garments"]}
+    assert rows["a"]["redrape_cd_cm"] == pytest.approx(0, abs=1e-6)
+    assert rows["b"]["redrape_cd_cm"] < rows["c"]["redrape_cd_cm"] == 100
+
+
+def test_all_patterns_agree_with_the_reference(examples: Path) -> None:
+    measured = parity.run(Namespace(folder=examples / "patterns", only="", expect=None))
+    found = {figure.metric: figure.value for figure in measured.figures}
+    assert found["designs"] == 24
+    assert found["same"] == found["outline"] == found["placement"] == 1.0
