@@ -51,13 +51,7 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.render.lights import LightRanges, Lights, draw_lights
     from gcd_dataset.generator.render.materials import AppearanceRanges, draw_appearance
     from gcd_dataset.generator.render.pictures import MAPS, Picture, View
-    from gcd_dataset.generator.render.plain import (
-        ColouredMesh,
-        garment_scene,
-        render_garment,
-        render_sample,
-        render_view,
-    )
+    from gcd_dataset.generator.render.plain import garment_scene, render_garment, render_sample, render_view
     from gcd_dataset.generator.render.scans import (
         KINECT,
         NOISELESS,
@@ -82,7 +76,6 @@ __all__ = [
     "Camera",
     "CameraRanges",
     "Cloth",
-    "ColouredMesh",
     "DepthNoise",
     "Environment",
     "EnvironmentKind",
@@ -163,7 +156,7 @@ _NAMES_OF_MODULE = {
     "images": ("read_picture",),
     "lights": ("LightRanges", "Lights", "draw_lights"),
     "pictures": ("MAPS", "Picture", "View"),
-    "plain": ("ColouredMesh", "garment_scene", "render_garment", "render_sample", "render_view"),
+    "plain": ("garment_scene", "render_garment", "render_sample", "render_view"),
     "scene": ("HairStyle", "Scene", "scene_of", "scene_of_sample"),
 }
 

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, get_args
 
 import numpy as np
@@ -12,14 +13,13 @@ from jaxtyping import Bool, Float, Int
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.drape.device import keep_some_memory, launch_lock
-from gcd_dataset.generator.render import plain_kernels
 from gcd_dataset.generator.render.cameras import Camera
 from gcd_dataset.generator.render.geometry import solid_of
+from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import cast, prepare, truths
 from gcd_dataset.generator.render.kernels.records import Cloth, Shot
 from gcd_dataset.generator.render.packing import Materials, pack_views
 from gcd_dataset.generator.render.pictures import BACKGROUND, MapName, Picture, View
-from gcd_dataset.generator.render.plain_batch import thresholds
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.render.staging import StagingBuffers, staged_values, to_device, wrapped
 from gcd_dataset.generator.render.uploading import Uploaded, stage, upload
@@ -104,7 +104,7 @@ def start_pictures(
     """
     _check(scenes, views, size, maps)
     device = resolve_device(device)
-    load_kernels("renderer", plain_kernels, prepare, cast, truths, device=device)
+    load_kernels("renderer", prepare, cast, truths, device=device)
     keep_some_memory(device)
     return PendingPictures(scenes, views, size, maps, device)
 
@@ -208,8 +208,7 @@ class PendingPictures:
     ) -> list[wp.array]:
         """Launch all passes and the copies of their results; returns the arrays that these read."""
         given = {name: to_device(values, dtype, device) for name, (values, dtype) in inputs.items()}
-        sheer = np.unique(materials.shots["scene"][materials.shots["sheer"] == 1]).tolist()
-        outputs = {"rgb": _shade(up, given, sheer, self._size, device)}
+        outputs = {"rgb": _shade(up, materials, given, self._size, device)}
         outputs |= _truths(up, given["shots"], self._maps, self._size, device)
         seen = [up.scenes, given["shots"], given["owner"], given["positions"]]
         outputs["visible"] = wp.zeros(len(given["owner"]), dtype=wp.uint8, device=device)
@@ -251,28 +250,40 @@ def _batches(views: Sequence[View], size: int) -> Iterator[list[int]]:
         yield batch
 
 
-def _shade(up: Uploaded, given: dict[str, wp.array], sheer: Sequence[int], size: int, device: str) -> wp.array:
-    """The pictures (shot, h, w, 3); ``sheer`` are the scenes with sheer cloth."""
-    shots = given["shots"]
+def _shade(up: Uploaded, materials: Materials, given: dict[str, wp.array], size: int, device: str) -> wp.array:
+    """The pictures (shot, h, w, 3)."""
+    shots, plain = given["shots"], materials.shots["plain"] == 1
     rays = (len(shots), size, size, SIDE**2)
     hit_face, hit_uv = wp.empty(rays, dtype=int, device=device), wp.empty(rays, dtype=wp.vec2, device=device)
     sides = (2, up.first_vertex[-1])
     seen, sky = wp.full(sides, -1, dtype=int, device=device), wp.full(sides, 1.0, dtype=float, device=device)
-    for number in sheer:
+    for number in np.unique(materials.shots["scene"][materials.shots["sheer"] == 1]).tolist():
         # What lies behind sheer cloth is not among the first hits: all of the scene counts as seen.
         for row in (seen[0], seen[1]):
             row[up.first_vertex[number] : up.first_vertex[number + 1]].fill_(number)
-    cells = (len(up.meshes), prepare.FLOOR_CELLS, prepare.FLOOR_CELLS)
-    floor = wp.empty(cells, dtype=float, device=device)
-    picture = wp.empty((*rays[:3], 3), dtype=wp.uint8, device=device)
+    picture, least = wp.empty((*rays[:3], 3), dtype=wp.uint8, device=device), _thresholds(device)
     inputs = [up.scenes, shots, SIDE]
     wp.launch(cast.cast_rays, rays, inputs=inputs, outputs=[hit_face, hit_uv, seen], device=device)
     wp.launch(prepare.sky_visibility, sides, inputs=[up.scenes, seen], outputs=[sky], device=device)
-    wp.launch(prepare.floor_visibility, cells, inputs=[up.scenes, up.middle], outputs=[floor], device=device)
-    materials = [given[name] for name in ("cloth_of_panel", "cloths", "texels", "glow")]
-    inputs = [up.scenes, shots, *materials, up.middle, sky, floor, SIDE, hit_face, hit_uv, thresholds(device)]
-    wp.launch(cast.shade_pixels, rays[:3], inputs=inputs, outputs=[picture], device=device)
+    cloth_of_panel, cloths, texels, glow = (given[name] for name in ("cloth_of_panel", "cloths", "texels", "glow"))
+    if plain.any():
+        inputs = [up.scenes, shots, cloth_of_panel, cloths, sky, SIDE, hit_face, hit_uv, least]
+        wp.launch(cast.shade_plain, rays[:3], inputs=inputs, outputs=[picture], device=device)
+    if not plain.all():
+        cells = (len(up.meshes), prepare.FLOOR_CELLS, prepare.FLOOR_CELLS)
+        floor = wp.empty(cells, dtype=float, device=device)
+        wp.launch(prepare.floor_visibility, cells, inputs=[up.scenes, up.middle], outputs=[floor], device=device)
+        inputs = [up.scenes, shots, cloth_of_panel, cloths, texels, glow, up.middle, sky, floor, SIDE]
+        inputs += [hit_face, hit_uv, least]
+        wp.launch(cast.shade_pixels, rays[:3], inputs=inputs, outputs=[picture], device=device)
     return picture
+
+
+@cache
+def _thresholds(device: str) -> wp.array:
+    """The smallest linear value of each sRGB byte from 1 to 255."""
+    least = linear_light((np.arange(cast.LEVELS) + 0.5) / cast.LEVELS)
+    return wp.array(least.astype(np.float32), dtype=float, device=device)
 
 
 def _truths(up: Uploaded, shots: wp.array, maps: Sequence[MapName], size: int, device: str) -> dict[str, wp.array]:

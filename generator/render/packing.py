@@ -12,7 +12,7 @@ from gcd_dataset.generator.render.appearance import RGB, Appearance, Cloth
 from gcd_dataset.generator.render.environment import Environment, EnvironmentKind
 from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import records
-from gcd_dataset.generator.render.pictures import View
+from gcd_dataset.generator.render.pictures import PlainView, View
 from gcd_dataset.generator.render.scene import Scene
 
 CLOTH: Any = records.Cloth.numpy_dtype()  # type: ignore[attr-defined]
@@ -86,7 +86,7 @@ def pack_views(views: Sequence[View], scenes: Sequence[Scene], rows: dict[int, i
         _pack_lights(shot, view)
         _pack_place(shot, view.environment, texels)
         _pack_figure(shot, look)
-        shot["scene"] = rows[view.scene]
+        shot["scene"], shot["plain"] = rows[view.scene], int(isinstance(view, PlainView))
         shot["first_panel"] = known[id(look)]
         shot["sheer"] = int(any(cloth.translucency > SHEER for cloth in look.cloths))
     packed = np.zeros(max(1, len(cloths)), CLOTH)

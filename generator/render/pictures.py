@@ -43,6 +43,11 @@ class View(Record):
 
 
 @dataclass(frozen=True, eq=False)
+class PlainView(View):
+    """A view in flat colours under lights at the camera: of its look count the grounds and the colour of underwear."""
+
+
+@dataclass(frozen=True, eq=False)
 class Picture(Record):
     """A picture and its truths. Pixels of the background hold 0 depth, 0 normal, -1 panel and seam, NaN uv."""
 

@@ -120,6 +120,23 @@ def scene_of(
     return scene
 
 
+def figure_scene(body: Body) -> Scene:
+    """A scene without a garment."""
+    return Scene(
+        vertices=np.zeros((0, 3)),
+        faces=np.zeros((0, 3), int),
+        uv=np.zeros((0, 2)),
+        corners=np.zeros((0, 3), int),
+        uv_vertex=np.zeros(0, int),
+        panel_id=np.zeros(0, int),
+        panel_names=(),
+        panel_labels=(),
+        seams=np.zeros((0, 2), int),
+        body=body,
+        landmarks=_landmarks(body),
+    )
+
+
 def scene_of_sample(sample: Sample, body: Body, *, hair: HairStyle = HairStyle.NONE) -> Scene:
     """The scene of a draped sample on its body. Raises ``ConfigError`` for a sample without a drape."""
     if sample.box_mesh is None or sample.drape is None:

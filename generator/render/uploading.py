@@ -9,13 +9,12 @@ import numpy as np
 import warp as wp
 
 from gcd_dataset.generator.render.geometry import Solid
-from gcd_dataset.generator.render.kernels.prepare import border_distances
+from gcd_dataset.generator.render.kernels.prepare import border_distances, scale_normals, sum_normals
 from gcd_dataset.generator.render.kernels.records import Scenes
-from gcd_dataset.generator.render.plain_batch import vertex_normals
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.render.staging import StagingBuffers, staged_values, to_device
 
-LEAF = 1  # faces in a leaf of the BVH on a GPU, as in the plain renderer
+LEAF = 1  # faces in a leaf of the BVH on a GPU: rays take 20 % less time on an H200 than with Warp's default of 4
 TREE = "lbvh"  # of a GPU: built there, and Warp's default; named, since pictures depend on it
 
 
@@ -83,7 +82,10 @@ def upload(staged: Staged) -> Uploaded:
     for name, (values, dtype) in staged.fields.items():
         setattr(up, name, to_device(values, dtype, device))
     others = {name: to_device(values, dtype, device) for name, (values, dtype) in staged.others.items()}
-    up.normal, rows = vertex_normals(up.corner, up.position, device), len(up.uv)
+    points, rows = len(up.position), len(up.uv)
+    total, up.normal = wp.zeros((points, 3), dtype=wp.int64, device=device), wp.empty(points, wp.vec3, device=device)
+    wp.launch(sum_normals, len(up.corner) // 3, inputs=[up.corner, up.position], outputs=[total], device=device)
+    wp.launch(scale_normals, points, inputs=[total], outputs=[up.normal], device=device)
     up.border, up.seam = wp.empty(rows, dtype=wp.vec4, device=device), wp.empty(rows, dtype=int, device=device)
     inputs = [others["segments"], others["panel_of_row"], up.uv, others["ends"], others["seam"], others["along"]]
     wp.launch(border_distances, rows, inputs=inputs, outputs=[up.border, up.seam], device=device)

@@ -26,7 +26,14 @@ def ray_through(shot: Shot, column: float, row: float, size: float) -> wp.vec3:
 
 @wp.func
 def sample_offset(shot: Shot, row: int, column: int, k: int, side: int) -> wp.vec2:
-    """Where sample ``k`` of ``side`` × ``side`` lies in its pixel, -0.5 to 0.5: a random place of its own square."""
+    """Where sample ``k`` of ``side`` × ``side`` lies in its pixel, -0.5 to 0.5: a random place of its own square.
+
+    Of plain shots a grid whose rows and columns are staggered: steep and level edges have all steps of grey.
+    """
+    if shot.plain == 1:
+        i = (float(k % side) + 0.5) / float(side) - 0.5
+        j = (float(k // side) + 0.5) / float(side) - 0.5
+        return wp.vec2(i + j / float(side), j - i / float(side))
     word = mixed(mixed(wp.uint32(shot.seed), wp.uint32(row)), mixed(wp.uint32(column), wp.uint32(k)))
     x = (float(k % side) + unit(word)) / float(side) - 0.5
     y = (float(k // side) + unit(mixed(word, wp.uint32(1)))) / float(side) - 0.5

@@ -46,6 +46,7 @@ class Shot:
     """A view: camera, lights, place, skin; colours are linear."""
 
     scene: int
+    plain: int  # 1: flat colours on paper, under lights at the camera
     right: wp.vec3
     down: wp.vec3
     forward: wp.vec3

@@ -17,8 +17,8 @@ THREAD = 0.035  # cm; half width of a stitch's thread
 
 
 @wp.struct
-class Surface:
-    """A point on a surface, as seen from a camera."""
+class Hit:
+    """A point on a surface that a ray met, as seen from a camera."""
 
     kind: int  # GARMENT, BODY or HAIR
     point: wp.vec3
@@ -103,11 +103,10 @@ def smooth_point(scenes: Scenes, first: int, weights: wp.vec3, point: wp.vec3, s
 
 
 @wp.func
-def surface_at(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=Cloth),
-               texel: wp.array(dtype=wp.vec3), sky: wp.array2d(dtype=float), face: int, bary: wp.vec2,
-               direction: wp.vec3, pixel: float) -> Surface:  # fmt: skip
-    """The surface at a hit; ``face`` counts within the scene, ``pixel`` is a pixel's angle [rad]."""
-    s = Surface()
+def hit_at(scenes: Scenes, shot: Shot, sky: wp.array2d(dtype=float), face: int, bary: wp.vec2,
+           direction: wp.vec3) -> Hit:  # fmt: skip
+    """Place, normals and open sky of a hit, without its material; ``face`` counts within the scene."""
+    s = Hit()
     weights = wp.vec3(bary[0], bary[1], 1.0 - bary[0] - bary[1])
     first = 3 * (scenes.first_face[shot.scene] + face)
     i = scenes.corner[first]
@@ -120,32 +119,42 @@ def surface_at(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), 
     s.flat = wp.normalize(wp.cross(q - p, r - p))
     smooth = scenes.normal[i] * weights[0] + scenes.normal[j] * weights[1] + scenes.normal[k] * weights[2]
     s.round = wp.normalize(smooth)
-    sign = float(1.0)
-    s.wrong = 0
-    if wp.dot(s.flat, direction) > 0.0:
-        sign = -1.0
-        s.wrong = 1
-    s.flat = s.flat * sign
-    s.round = s.round * sign
+    s.wrong = int(wp.dot(s.flat, direction) > 0.0)
+    if s.wrong == 1:
+        s.flat = -s.flat
+        s.round = -s.round
     s.normal = s.round
-    s.smooth = smooth_point(scenes, first, weights, s.point, sign)
     s.clear = sky[s.wrong, i] * weights[0] + sky[s.wrong, j] * weights[1] + sky[s.wrong, k] * weights[2]
     s.kind = kind_of(scenes, shot.scene, face)
+    return s
+
+
+@wp.func
+def surface_at(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=Cloth),
+               texel: wp.array(dtype=wp.vec3), sky: wp.array2d(dtype=float), face: int, bary: wp.vec2,
+               direction: wp.vec3, pixel: float) -> Hit:  # fmt: skip
+    """The surface at a hit; ``face`` counts within the scene, ``pixel`` is a pixel's angle [rad]."""
+    s = hit_at(scenes, shot, sky, face, bary, direction)
+    weights = wp.vec3(bary[0], bary[1], 1.0 - bary[0] - bary[1])
+    first = 3 * (scenes.first_face[shot.scene] + face)
+    sign = 1.0 - 2.0 * float(s.wrong)
+    s.smooth = smooth_point(scenes, first, weights, s.point, sign)
     facing = wp.max(0.25, wp.abs(wp.dot(s.round, direction)))
     width = wp.length(s.point - shot.eye) * pixel / wp.sqrt(facing)
     if s.kind == GARMENT:
         return cloth_surface(s, scenes, shot, cloth_of_panel, cloths, texel, face, weights, width, sign)
     if s.kind == BODY:
-        return body_surface(s, scenes, shot, wp.vec3i(i, j, k), weights, width)
+        corners = wp.vec3i(scenes.corner[first], scenes.corner[first + 1], scenes.corner[first + 2])
+        return body_surface(s, scenes, shot, corners, weights, width)
     if s.kind == EYE:
         return eye_surface(s, shot, scenes)
     return hair_surface(s, shot, scenes)
 
 
 @wp.func
-def cloth_surface(s: Surface, scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int),
+def cloth_surface(s: Hit, scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int),
                   cloths: wp.array(dtype=Cloth), texel: wp.array(dtype=wp.vec3), face: int, weights: wp.vec3,
-                  width: float, sign: float) -> Surface:  # fmt: skip
+                  width: float, sign: float) -> Hit:  # fmt: skip
     """Material and relief of the cloth."""
     row = scenes.first_cloth_face[shot.scene] + face
     panel = scenes.panel[row]
@@ -240,8 +249,8 @@ def tilted(normal: wp.vec3, scenes: Scenes, shot: Shot, face: int, a: int, b: in
 
 
 @wp.func
-def body_surface(s: Surface, scenes: Scenes, shot: Shot, corners: wp.vec3i, weights: wp.vec3,
-                 width: float) -> Surface:  # fmt: skip
+def body_surface(s: Hit, scenes: Scenes, shot: Shot, corners: wp.vec3i, weights: wp.vec3,
+                 width: float) -> Hit:  # fmt: skip
     """Skin or underwear."""
     shift = scenes.first_mask[shot.scene] - scenes.first_body_vertex[shot.scene]
     mask = (
@@ -266,7 +275,7 @@ def body_surface(s: Surface, scenes: Scenes, shot: Shot, corners: wp.vec3i, weig
 
 
 @wp.func
-def hair_surface(s: Surface, shot: Shot, scenes: Scenes) -> Surface:
+def hair_surface(s: Hit, shot: Shot, scenes: Scenes) -> Hit:
     """Hair: strands tilt the normal, and differ in colour."""
     middle = (scenes.eye[2 * shot.scene] + scenes.eye[2 * shot.scene + 1]) * 0.5
     centre = wp.vec3(middle[0], middle[1], middle[2] - 7.0)
@@ -285,7 +294,7 @@ def hair_surface(s: Surface, shot: Shot, scenes: Scenes) -> Surface:
 
 
 @wp.func
-def eye_surface(s: Surface, shot: Shot, scenes: Scenes) -> Surface:
+def eye_surface(s: Hit, shot: Shot, scenes: Scenes) -> Hit:
     """An eyeball."""
     eye = scenes.eye[2 * shot.scene]
     other = scenes.eye[2 * shot.scene + 1]
