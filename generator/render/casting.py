@@ -21,8 +21,15 @@ from gcd_dataset.generator.render.kernels.records import Cloth, Shot
 from gcd_dataset.generator.render.packing import Materials, pack_views
 from gcd_dataset.generator.render.pictures import BACKGROUND, MapName, Picture, View
 from gcd_dataset.generator.render.scene import Scene
-from gcd_dataset.generator.render.staging import StagingBuffers, staged_values, to_device, wrapped
-from gcd_dataset.generator.render.uploading import Uploaded, stage, upload
+from gcd_dataset.generator.render.uploading import (
+    StagingBuffers,
+    Uploaded,
+    stage,
+    staged_values,
+    to_device,
+    upload,
+    wrapped,
+)
 from gcd_dataset.records import Record
 
 

@@ -12,8 +12,7 @@ from gcd_dataset.generator.lay_plan import PALETTE, PAPER
 from gcd_dataset.generator.render.appearance import RGB, Appearance, Cloth, Print, Underwear
 from gcd_dataset.generator.render.cameras import fixed_camera
 from gcd_dataset.generator.render.casting import PendingPictures, start_pictures
-from gcd_dataset.generator.render.environment import Environment, EnvironmentKind
-from gcd_dataset.generator.render.lights import Lights
+from gcd_dataset.generator.render.environment import Environment, EnvironmentKind, Lights
 from gcd_dataset.generator.render.pictures import MapName, PlainView
 from gcd_dataset.generator.render.scene import Scene, figure_scene, scene_of
 from gcd_dataset.records import Body, BoxMesh, Sample

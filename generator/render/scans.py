@@ -27,7 +27,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.drape.device import launch_lock, to_host
 from gcd_dataset.generator.render.cameras import Camera, look_at
-from gcd_dataset.generator.render.kernels import ranging
+from gcd_dataset.generator.render.kernels import truths
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.records import Record
 
@@ -96,7 +96,7 @@ class Ranger:
 
     def __init__(self, scene: Scene, *, device: str = "auto") -> None:
         self.scene, self.device = scene, resolve_device(device)
-        load_kernels("scanner", ranging, device=self.device)
+        load_kernels("scanner", truths, device=self.device)
         vertices, faces = np.concatenate([scene.vertices, scene.body.vertices]), _faces(scene)
         if not np.isfinite(vertices).all():
             raise ConfigError("a garment with NaN positions, of a diverged drape: select samples by their outcome")
@@ -128,7 +128,7 @@ class Ranger:
                 self._array([camera.rotation for camera in cameras], wp.mat33),
                 self._array([camera.intrinsics(size) for camera in cameras], wp.mat33),
             ]
-            wp.launch(ranging.first_surface, shape, inputs=inputs, outputs=[face, weights, depth], device=self.device)
+            wp.launch(truths.first_surface, shape, inputs=inputs, outputs=[face, weights, depth], device=self.device)
             arrays = zip(cameras, to_host(face), to_host(weights), to_host(depth), strict=True)
             return [RangeImage(self.scene, self._normals, *entry) for entry in arrays]
 
@@ -137,7 +137,7 @@ class Ranger:
         with launch_lock:
             lit = wp.zeros(len(points), dtype=wp.uint8, device=self.device)
             inputs = [self._mesh.id, wp.vec3(*map(float, lamp)), self._array(points, wp.vec3)]
-            wp.launch(ranging.lit_points, len(points), inputs=inputs, outputs=[lit], device=self.device)
+            wp.launch(truths.lit_points, len(points), inputs=inputs, outputs=[lit], device=self.device)
             return to_host(lit) == 1
 
     def _array(self, values: object, dtype: type) -> wp.array:

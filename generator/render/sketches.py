@@ -21,11 +21,22 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render.cameras import Camera, look_at
-from gcd_dataset.generator.render.contours import Segments, chains, cracks, level_lines, linked, smoothed, valleys
 from gcd_dataset.generator.render.geometry import HEM, panel_borders
 from gcd_dataset.generator.render.scans import RangeImage, Ranger
 from gcd_dataset.generator.render.scene import Scene
-from gcd_dataset.generator.render.strokes import Stroke, by_hand, dashed, draw_strokes
+from gcd_dataset.generator.render.strokes import (
+    Segments,
+    Stroke,
+    by_hand,
+    chains,
+    cracks,
+    dashed,
+    draw_strokes,
+    level_lines,
+    linked,
+    smoothed,
+    valleys,
+)
 from gcd_dataset.records import Body
 
 PIXELS = 640  # rows and columns of the range image; strokes are smooth, so that a sketch may be larger

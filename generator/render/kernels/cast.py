@@ -2,7 +2,6 @@
 
 import warp as wp
 
-from gcd_dataset.generator.render.kernels.noise import fraction, mixed, unit
 from gcd_dataset.generator.render.kernels.places import place_behind
 from gcd_dataset.generator.render.kernels.prepare import floor_at
 from gcd_dataset.generator.render.kernels.rays import (
@@ -17,6 +16,7 @@ from gcd_dataset.generator.render.kernels.rays import (
 )
 from gcd_dataset.generator.render.kernels.records import Cloth, Scenes, Shot
 from gcd_dataset.generator.render.kernels.surface import Hit, hit_at, surface_at
+from gcd_dataset.generator.render.kernels.textures import fraction, mixed, unit
 
 wp.set_module_options({"enable_backward": False})
 

@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from gcd_dataset.generator.render.kernels.noise import mixed, unit
 from gcd_dataset.generator.render.kernels.records import Cloth, Scenes, Shot
+from gcd_dataset.generator.render.kernels.textures import mixed, unit
 
 wp.set_module_options({"enable_backward": False})
 

@@ -3,8 +3,19 @@
 import numpy as np
 import pytest
 
-from gcd_dataset.generator.render.contours import Segments, chains, cracks, level_lines, linked, smoothed, valleys
-from gcd_dataset.generator.render.strokes import Stroke, by_hand, dashed, draw_strokes
+from gcd_dataset.generator.render.strokes import (
+    Segments,
+    Stroke,
+    by_hand,
+    chains,
+    cracks,
+    dashed,
+    draw_strokes,
+    level_lines,
+    linked,
+    smoothed,
+    valleys,
+)
 
 ROW, COLUMN = np.indices((60, 80)).astype(float)
 

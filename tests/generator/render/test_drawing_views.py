@@ -23,10 +23,9 @@ from gcd_dataset.generator.render import (
     render,
 )
 from gcd_dataset.generator.render.appearance import MONK_TONES
+from gcd_dataset.generator.render.environment import tint, white_balance
 from gcd_dataset.generator.render.images import linear_light
-from gcd_dataset.generator.render.lights import tint, white_balance
-from gcd_dataset.generator.render.looks import LOOKS, LOOKS_OF_FABRIC
-from gcd_dataset.generator.render.materials import parts_of
+from gcd_dataset.generator.render.materials import LOOKS, LOOKS_OF_FABRIC, parts_of
 from gcd_dataset.generator.render.packing import skin_albedo
 from tests.generator.render.scenes import ahead, ball_scene, cloth_of, hung_patch, look, patch_scene, plain
 from tests.helpers import joined

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.generator.render import MAPS, draw_views, render, start_pictures
-from gcd_dataset.generator.render.staging import LARGE, buffer_size
+from gcd_dataset.generator.render.uploading import LARGE, buffer_size
 from tests.generator.render.scenes import ball_scene, patch_scene
 
 
