@@ -20,7 +20,7 @@ from gcd_dataset.generator.render import (
     AppearanceRanges,
     Camera,
     CameraRanges,
-    Cloth,
+    ClothLook,
     Environment,
     EnvironmentKind,
     EnvironmentRanges,
@@ -94,7 +94,7 @@ HELD_OUT = Ranges(
     environment=EnvironmentRanges(weights=(0.0, 0.0, 1.0, 0.0)),
 )
 """Rooms, checks, tartan and flowers; cameras and lights beyond those of ``TRAINING``."""
-GREY = Cloth(print=Print(colours=((0.6, 0.6, 0.6),) * 4))
+GREY = ClothLook(print=Print(colours=((0.6, 0.6, 0.6),) * 4))
 STUDIO = np.array([-0.45, -0.55, -0.70])  # towards the key light, in camera axes: from above and the left
 AT_ONCE = {"cpu": 2, "cuda": 8}  # garments rendered together
 AHEAD = 2  # batches of a process that wait to be used

@@ -28,7 +28,7 @@ from gcd_dataset.lazy import lazy_names
 if TYPE_CHECKING:
     from gcd_dataset.generator.render.appearance import (
         Appearance,
-        Cloth,
+        ClothLook,
         Hair,
         Print,
         PrintKind,
@@ -76,7 +76,7 @@ __all__ = [
     "AppearanceRanges",
     "Camera",
     "CameraRanges",
-    "Cloth",
+    "ClothLook",
     "DepthNoise",
     "Environment",
     "EnvironmentKind",
@@ -139,7 +139,7 @@ _NAMES_OF_MODULE = {
     ),
     "appearance": (
         "Appearance",
-        "Cloth",
+        "ClothLook",
         "Hair",
         "Print",
         "PrintKind",

@@ -17,7 +17,7 @@ from gcd_dataset.generator.render.cameras import Camera
 from gcd_dataset.generator.render.geometry import solid_of
 from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import cast, prepare, truths
-from gcd_dataset.generator.render.kernels.records import Cloth, Shot
+from gcd_dataset.generator.render.kernels.records import ClothRow, Shot
 from gcd_dataset.generator.render.packing import Materials, pack_views
 from gcd_dataset.generator.render.pictures import BACKGROUND, MapName, Picture, View
 from gcd_dataset.generator.render.scene import Scene
@@ -198,7 +198,7 @@ class PendingPictures:
         owner = np.repeat(np.arange(len(self._points)), [len(points.positions) for points in self._points])
         given: dict[str, tuple[np.ndarray, Any, Any]] = {
             "shots": (materials.shots, materials.shots.dtype, Shot),
-            "cloths": (materials.cloths, materials.cloths.dtype, Cloth),
+            "cloths": (materials.cloths, materials.cloths.dtype, ClothRow),
             "cloth_of_panel": (materials.cloth_of_panel, np.int32, wp.int32),
             "texels": (materials.texels, np.float32, wp.vec3),
             "glow": (materials.glow, np.float32, wp.vec3),

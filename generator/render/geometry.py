@@ -16,7 +16,7 @@ HEM = -2
 
 
 @dataclass(frozen=True, eq=False)
-class Borders(Record):
+class PanelBorders(Record):
     """The segments of the panels' outlines, panel by panel."""
 
     ends: Int[np.ndarray, "b 2"]
@@ -41,7 +41,7 @@ class Solid(Record):
     body_faces: int
     hair_faces: int
     garment_vertices: int
-    borders: Borders
+    borders: PanelBorders
     panel_of_row: Int[np.ndarray, " c"]
     """Panel of each row of ``uv``."""
     masks: BodyMasks
@@ -80,7 +80,7 @@ def solid_of(scene: Scene) -> Solid:
     )
 
 
-def panel_borders(scene: Scene, panel_of_row: Int[np.ndarray, " c"]) -> Borders:
+def panel_borders(scene: Scene, panel_of_row: Int[np.ndarray, " c"]) -> PanelBorders:
     """The outlines of all panels, found in the mesh, with the seam of each segment."""
     face, k, ends = _border_edges(scene.corners, len(scene.uv))
     seam = _seam_of_edge(scene, scene.uv_vertex[ends])
@@ -90,7 +90,7 @@ def panel_borders(scene: Scene, panel_of_row: Int[np.ndarray, " c"]) -> Borders:
     order = np.argsort(panel, kind="stable")
     along = _lengths_along(ends, scene.uv, len(scene.uv))
     first = np.searchsorted(panel[order], np.arange(len(scene.panel_names) + 1))
-    return Borders(ends[order], seam[order], along[order], first, flags)
+    return PanelBorders(ends[order], seam[order], along[order], first, flags)
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers

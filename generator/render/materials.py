@@ -15,7 +15,7 @@ from gcd_dataset.generator.render.appearance import (
     MONK_TONES,
     RGB,
     Appearance,
-    Cloth,
+    ClothLook,
     Hair,
     Print,
     PrintKind,
@@ -243,7 +243,7 @@ def draw_appearance(
     _check(ranges, names)
     skin, hair, eyes, underwear = _draw_figure(rng, ranges)
     garment, part = parts_of(scene)
-    cloths: list[Cloth] = []
+    cloths: list[ClothLook] = []
     cloth_of_panel = np.zeros(len(scene.panel_names), int)
     for number in range(int(garment.max(initial=-1)) + 1):
         own = garment == number
@@ -255,7 +255,7 @@ def draw_appearance(
         if second and of_part.any() and not of_part[own].all():
             cloth_of_panel[of_part] = len(cloths)
             cloths.append(other)
-    return Appearance(tuple(cloths) or (Cloth(),), cloth_of_panel, skin, underwear, hair, eyes)
+    return Appearance(tuple(cloths) or (ClothLook(),), cloth_of_panel, skin, underwear, hair, eyes)
 
 
 def parts_of(scene: Scene) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
@@ -330,11 +330,11 @@ def _draw_figure(rng: np.random.Generator, ranges: AppearanceRanges) -> tuple[Sk
     return skin, Hair(nudged(rng, hair, 0.02)), eyes, Underwear(plain)
 
 
-def _draw_cloth(rng: np.random.Generator, names: tuple[str, ...], ranges: AppearanceRanges) -> Cloth:
+def _draw_cloth(rng: np.random.Generator, names: tuple[str, ...], ranges: AppearanceRanges) -> ClothLook:
     name = names[int(rng.integers(len(names)))]
     look = LOOKS[name]
     motif = _draw_print(rng, look, ranges)
-    return Cloth(
+    return ClothLook(
         print=motif,
         weave=look.weave,
         stitching=_draw_stitching(rng, look, motif),

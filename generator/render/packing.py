@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.render.appearance import RGB, Appearance, Cloth
+from gcd_dataset.generator.render.appearance import RGB, Appearance, ClothLook
 from gcd_dataset.generator.render.environment import Environment, EnvironmentKind
 from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import records
 from gcd_dataset.generator.render.pictures import PlainView, View
 from gcd_dataset.generator.render.scene import Scene
 
-CLOTH: Any = records.Cloth.numpy_dtype()  # type: ignore[attr-defined]
+CLOTH: Any = records.ClothRow.numpy_dtype()  # type: ignore[attr-defined]
 SHOT: Any = records.Shot.numpy_dtype()  # type: ignore[attr-defined]
 # A swatch is the colour of skin as seen, highlights and all: as albedos, tones would be chalk and coal.
 SKIN_GAIN, SKIN_GAMMA = np.array([0.75, 0.65, 0.57]), 0.76
@@ -71,7 +71,7 @@ def pack_views(views: Sequence[View], scenes: Sequence[Scene], rows: dict[int, i
     """
     texels = _Texels()
     shots = np.zeros(len(views), SHOT)
-    cloths: list[Cloth] = []
+    cloths: list[ClothLook] = []
     panels: list[np.ndarray] = []
     known: dict[int, int] = {}
     for view, shot in zip(views, shots, strict=True):
@@ -150,7 +150,7 @@ def _pack_figure(shot: np.void, look: Appearance) -> None:
         shot["underwear"], shot["top"] = linear_light(np.array(look.underwear.colour)), int(look.underwear.top)
 
 
-def _pack_cloth(row: np.void, cloth: Cloth, texels: _Texels) -> None:
+def _pack_cloth(row: np.void, cloth: ClothLook, texels: _Texels) -> None:
     motif, weave, stitching = cloth.print, cloth.weave, cloth.stitching
     row["print_kind"] = int(motif.kind)
     row["ground"], row["first"], row["second"], row["third"] = linear_light(np.array(motif.colours))

@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.lay_plan import PALETTE, PAPER
-from gcd_dataset.generator.render.appearance import RGB, Appearance, Cloth, Print, Underwear
+from gcd_dataset.generator.render.appearance import RGB, Appearance, ClothLook, Print, Underwear
 from gcd_dataset.generator.render.cameras import fixed_camera
 from gcd_dataset.generator.render.casting import PendingPictures, start_pictures
 from gcd_dataset.generator.render.environment import Environment, EnvironmentKind, Lights
@@ -20,7 +20,7 @@ from gcd_dataset.records import Body, BoxMesh, Sample
 SIDES: tuple[Literal["front"], Literal["back"]] = ("front", "back")
 SKIN: RGB = (0.80, 0.76, 0.72)
 WRONG_SIDE = 0.55  # brightness of the wrong side of cloth, relative to the right side
-CLOTHS = tuple(Cloth(Print(colours=(colour,) * 4), wrong_side=WRONG_SIDE) for colour in PALETTE)
+CLOTHS = tuple(ClothLook(Print(colours=(colour,) * 4), wrong_side=WRONG_SIDE) for colour in PALETTE)
 PAGE: RGB = (PAPER[0] / 255, PAPER[1] / 255, PAPER[2] / 255)
 
 

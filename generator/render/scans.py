@@ -228,7 +228,7 @@ TRAIL = 12.0  # cm; flying pixels hang up to this far behind the front
 
 
 @dataclass(frozen=True, eq=False)
-class Measured(Record):
+class DepthReading(Record):
     """What a sensor measures of a range image, and where it got it from."""
 
     depth: Float[np.ndarray, "h w"]
@@ -243,7 +243,7 @@ def measure(
     rng: np.random.Generator,
     *,
     lit: Callable[[Float[np.ndarray, "3"], Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]] | None = None,
-) -> Measured:
+) -> DepthReading:
     """The depths that a camera with ``noise`` measures; ``lit(lamp, points)`` tells what the projector reaches.
 
     Numbers are drawn for every pixel and in a fixed order, so a kind of noise leaves the others as they are.
@@ -261,7 +261,7 @@ def measure(
     depth = _flown(depth, true.ravel()[source], noise.flying, trail, side, flies)
     if noise.disparity_step:
         depth = _through_disparity(depth, noise, disparity)
-    return Measured(depth + noise.sigma * axial, source)
+    return DepthReading(depth + noise.sigma * axial, source)
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers

@@ -26,7 +26,7 @@ from gcd_dataset.generator.render.scans import RangeImage, Ranger
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.render.strokes import (
     Segments,
-    Stroke,
+    SketchLine,
     by_hand,
     chains,
     cracks,
@@ -133,7 +133,7 @@ def sketch(
     return draw_strokes(drawn, size, grain=int(rng.integers(1 << 31)))
 
 
-def sketch_strokes(image: RangeImage, style: SketchStyle = FLAT) -> list[Stroke]:
+def sketch_strokes(image: RangeImage, style: SketchStyle = FLAT) -> list[SketchLine]:
     """The lines of a range image, as even strokes."""
     lines = _Lines(image)
     found = [*lines.outlines(), *lines.edges()]
@@ -159,20 +159,20 @@ class _Lines:
         self.clearance = self._clearance()
         """Distance of each pixel from outline and edges [cm]."""
 
-    def outlines(self) -> list[Stroke]:
+    def outlines(self) -> list[SketchLine]:
         return self._strokes("outline", chains(cracks(*self.border)))
 
-    def edges(self) -> list[Stroke]:
+    def edges(self) -> list[SketchLine]:
         return self._strokes("edge", self.edge_lines)
 
-    def figure(self) -> list[Stroke]:
+    def figure(self) -> list[SketchLine]:
         """The body's own lines, where cloth does not draw the border."""
         covered = self.image.covered
         skin = covered & ~self.cloth
         beside = [pair & ~border for pair, border in zip(_differ(covered), self.border, strict=True)]
         return self._strokes("body", [*chains(cracks(*beside)), *self._jump_lines(skin)])
 
-    def seams(self) -> list[Stroke]:
+    def seams(self) -> list[SketchLine]:
         """The pattern's seams that are seen."""
         scene = self.image.scene
         panel_of_row = np.zeros(len(scene.uv), np.int64)
@@ -187,7 +187,7 @@ class _Lines:
             runs += _runs(pixels, self._in_sight(even, pixels), gap=4)
         return self._strokes("seam", runs)
 
-    def hems(self) -> list[Stroke]:
+    def hems(self) -> list[SketchLine]:
         """Dashes at ``HEM_STITCH`` from the edges of the cloth, on its outside."""
         lines = chains(level_lines(self._distance_to_hems(), HEM_STITCH))
         strokes = self._strokes("hem", [run for line in lines for run in self._clear(line, "hem")])
@@ -195,7 +195,7 @@ class _Lines:
         dash, gap = DASH * self.cm / self.image.size, GAP * self.cm / self.image.size
         return [piece for stroke in long for piece in dashed(stroke, dash, gap)]
 
-    def folds(self) -> list[Stroke]:
+    def folds(self) -> list[SketchLine]:
         """Valleys of the brightness under a lamp at the camera."""
         sigma = FOLD_SCALE * self.cm
         bright, known = self._brightness(sigma)
@@ -227,13 +227,13 @@ class _Lines:
         across, down = across | beside[:, :-1], down | beside[:-1]
         return _distance_to(across, down) / self.cm
 
-    def _strokes(self, kind: str, lines: Sequence[np.ndarray]) -> list[Stroke]:
+    def _strokes(self, kind: str, lines: Sequence[np.ndarray]) -> list[SketchLine]:
         """Smooth strokes of the lines that are long enough; from pixels to shares of the picture."""
         strokes = []
         for line in lines:
             curve = smoothed(line, SMOOTH)
             points = (curve + 0.5) / self.image.size
-            stroke = Stroke(points, WIDTHS[kind], INKS[kind])
+            stroke = SketchLine(points, WIDTHS[kind], INKS[kind])
             if stroke.length * self.image.size >= SHORTEST.get(kind, 0.0) * self.cm:
                 strokes.append(stroke)
         return strokes
@@ -369,7 +369,7 @@ def _uv_at(image: RangeImage, pixels: Bool[np.ndarray, "h w"]) -> Float[np.ndarr
     return u[:, None] * corner[:, 0] + v[:, None] * corner[:, 1] + (1 - u - v)[:, None] * corner[:, 2]
 
 
-def _tapered(stroke: Stroke) -> Stroke:
+def _tapered(stroke: SketchLine) -> SketchLine:
     """A fold runs out at both ends."""
     share = np.linspace(0.0, 1.0, len(stroke.points))
     return replace(stroke, pressure=0.25 + 0.75 * np.sqrt(np.sin(np.pi * share).clip(0.0)))

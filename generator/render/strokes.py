@@ -21,7 +21,7 @@ GRAIN = 0.13  # standard deviation of the ink on paper
 
 
 @dataclass(frozen=True, eq=False)
-class Stroke(Record):
+class SketchLine(Record):
     """A line to draw."""
 
     points: Float[np.ndarray, "n 2"]
@@ -40,7 +40,7 @@ class Stroke(Record):
 
 
 def draw_strokes(
-    strokes: Sequence[Stroke], size: int, *, paper: UInt8[np.ndarray, "h w"] | None = None, grain: int | None = None
+    strokes: Sequence[SketchLine], size: int, *, paper: UInt8[np.ndarray, "h w"] | None = None, grain: int | None = None
 ) -> UInt8[np.ndarray, "h w"]:
     """A grey picture of ``size`` × ``size`` pixels; where strokes cross, the darker one shows.
 
@@ -56,7 +56,7 @@ def draw_strokes(
     return np.rint(ground * (1.0 - ink)).astype(np.uint8).reshape(size, size)
 
 
-def dashed(stroke: Stroke, dash: float, gap: float) -> list[Stroke]:
+def dashed(stroke: SketchLine, dash: float, gap: float) -> list[SketchLine]:
     """The stroke in dashes of equal length, as shares of the picture; begins and ends with a dash."""
     along = _along(stroke.points)
     count = max(1, round((along[-1] + gap) / (dash + gap)))
@@ -65,7 +65,9 @@ def dashed(stroke: Stroke, dash: float, gap: float) -> list[Stroke]:
     return [replace(stroke, points=_cut(stroke.points, along, start, start + dash * scale)) for start in starts]
 
 
-def by_hand(stroke: Stroke, rng: np.random.Generator, *, shake: float = 0.0022, again: float = 0.35) -> list[Stroke]:
+def by_hand(
+    stroke: SketchLine, rng: np.random.Generator, *, shake: float = 0.0022, again: float = 0.35
+) -> list[SketchLine]:
     """The stroke as a hand draws it: pieces that overshoot, waver and press unevenly; some drawn a second time.
 
     ``shake``: standard deviation of the place [shares of the picture]; ``again``: share of pieces drawn twice.
@@ -217,7 +219,7 @@ def smoothed(line: Float[np.ndarray, "n 2"], sigma: float, *, spacing: float = 1
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 
-def _stamp(ink: Float[np.ndarray, " p"], stroke: Stroke, size: int) -> None:
+def _stamp(ink: Float[np.ndarray, " p"], stroke: SketchLine, size: int) -> None:
     """Raise ``ink`` to the stroke's coverage of each pixel: a disc at every ``STEP`` along the line."""
     along = _along(stroke.points) * size
     at = np.linspace(0.0, along[-1], max(2, math.ceil(along[-1] / STEP) + 1))
@@ -282,7 +284,7 @@ def _corners(points: Float[np.ndarray, "n 2"], along: Float[np.ndarray, " n"]) -
     return along[peak]
 
 
-def _wavering(stroke: Stroke, rng: np.random.Generator, shake: float) -> Stroke:
+def _wavering(stroke: SketchLine, rng: np.random.Generator, shake: float) -> SketchLine:
     """The stroke, displaced by smooth noise, longer at both ends, with a pressure that begins and ends lightly."""
     points = _overshot(stroke.points, rng, min(0.006, 0.12 * stroke.length))
     along = _along(points)

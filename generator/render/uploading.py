@@ -99,7 +99,7 @@ TREE = "lbvh"  # of a GPU: built there, and Warp's default; named, since picture
 
 
 @dataclass(frozen=True, eq=False)
-class Staged:
+class StagedScenes:
     """Scenes in staging memory, ready to be copied."""
 
     staging: StagingBuffers
@@ -130,12 +130,12 @@ class Uploaded:
     """Row of each scene's first vertex, and the number of all."""
 
 
-def stage(scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuffers) -> Staged:
+def stage(scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuffers) -> StagedScenes:
     """Join the scenes in staging memory; needs no device."""
     starts = [solid.starts for solid in solids]
     first_vertex = _starts([start[-1] for start in starts])
     first_face = _starts([sum(len(faces) for _, faces in solid.parts) for solid in solids])
-    staged = Staged(staging, first_vertex.tolist(), first_face.tolist())
+    staged = StagedScenes(staging, first_vertex.tolist(), first_face.tolist())
     vertices = [vertices for solid in solids for vertices, _ in solid.parts]
     faces = [faces for solid in solids for _, faces in solid.parts]
     shifts = [begin + shift for start, begin in zip(starts, first_vertex, strict=False) for shift in start[:-1]]
@@ -156,7 +156,7 @@ def stage(scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuff
     return staged
 
 
-def upload(staged: Staged) -> Uploaded:
+def upload(staged: StagedScenes) -> Uploaded:
     """Copy the scenes to the device, in few large copies; a GPU works asynchronously."""
     device, up = staged.staging.device, Scenes()
     for name, (values, dtype) in staged.fields.items():
@@ -183,7 +183,7 @@ def upload(staged: Staged) -> Uploaded:
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 
-def _stage_cloth(staged: Staged, scenes: Sequence[Scene], solids: Sequence[Solid]) -> None:
+def _stage_cloth(staged: StagedScenes, scenes: Sequence[Scene], solids: Sequence[Solid]) -> None:
     staging, fields, others = staged.staging, staged.fields, staged.others
     first_row = _starts([len(scene.uv) for scene in scenes])
     first_panel = _starts([len(scene.panel_names) for scene in scenes])
@@ -206,7 +206,7 @@ def _stage_cloth(staged: Staged, scenes: Sequence[Scene], solids: Sequence[Solid
     others["along"] = _joined(staging, [border.along for border in borders], np.float32), wp.float32
 
 
-def _stage_bodies(staged: Staged, scenes: Sequence[Scene], solids: Sequence[Solid]) -> None:
+def _stage_bodies(staged: StagedScenes, scenes: Sequence[Scene], solids: Sequence[Solid]) -> None:
     first: dict[int, int] = {}
     kept: list[Solid] = []
     parts: list[np.ndarray] = []

@@ -14,7 +14,7 @@ from gcd_dataset.generator.render.kernels.rays import (
     sample_offset,
     towards_key,
 )
-from gcd_dataset.generator.render.kernels.records import Cloth, Scenes, Shot
+from gcd_dataset.generator.render.kernels.records import ClothRow, Scenes, Shot
 from gcd_dataset.generator.render.kernels.surface import Hit, hit_at, surface_at
 from gcd_dataset.generator.render.kernels.textures import fraction, mixed, unit
 
@@ -68,7 +68,7 @@ def cast_rays(scenes: Scenes, shots: wp.array(dtype=Shot), side: int,
 
 @wp.kernel
 def shade_plain(scenes: Scenes, shots: wp.array(dtype=Shot), cloth_of_panel: wp.array(dtype=int),
-                cloths: wp.array(dtype=Cloth), sky: wp.array2d(dtype=float), side: int,
+                cloths: wp.array(dtype=ClothRow), sky: wp.array2d(dtype=float), side: int,
                 hit_face: wp.array4d(dtype=int), hit_uv: wp.array4d(dtype=wp.vec2), least: wp.array(dtype=float),
                 # out
                 picture: wp.array4d(dtype=wp.uint8)):  # fmt: skip
@@ -108,7 +108,7 @@ def shade_plain(scenes: Scenes, shots: wp.array(dtype=Shot), cloth_of_panel: wp.
 
 @wp.kernel
 def shade_pixels(scenes: Scenes, shots: wp.array(dtype=Shot), cloth_of_panel: wp.array(dtype=int),
-                 cloths: wp.array(dtype=Cloth), texel: wp.array(dtype=wp.vec3), glow: wp.array2d(dtype=wp.vec3),
+                 cloths: wp.array(dtype=ClothRow), texel: wp.array(dtype=wp.vec3), glow: wp.array2d(dtype=wp.vec3),
                  middle: wp.array(dtype=wp.vec3), sky: wp.array2d(dtype=float), floor: wp.array3d(dtype=float),
                  side: int, hit_face: wp.array4d(dtype=int), hit_uv: wp.array4d(dtype=wp.vec2),
                  least: wp.array(dtype=float),

@@ -5,7 +5,7 @@ Motifs whose period is below two pixels fade to their mean: stripes would alias.
 
 import warp as wp
 
-from gcd_dataset.generator.render.kernels.records import Cloth
+from gcd_dataset.generator.render.kernels.records import ClothRow
 from gcd_dataset.generator.render.kernels.textures import (
     bilinear,
     fractal2,
@@ -40,7 +40,7 @@ TURN = wp.constant(6.2831853)
 
 
 @wp.func
-def print_colour(cloth: Cloth, uv: wp.vec2, panel: int, rise: float, width: float,
+def print_colour(cloth: ClothRow, uv: wp.vec2, panel: int, rise: float, width: float,
                  texel: wp.array(dtype=wp.vec3)) -> wp.vec3:  # fmt: skip
     """Linear colour of the right side of the cloth; ``rise`` is the height above the garment's lowest point [cm]."""
     kind = cloth.print_kind
@@ -108,7 +108,7 @@ def repeated(x: float, period: float, fill: float, width: float) -> float:
 
 
 @wp.func
-def stripes(cloth: Cloth, x: float, width: float) -> wp.vec3:
+def stripes(cloth: ClothRow, x: float, width: float) -> wp.vec3:
     """Stripes; with jitter, a thin second stripe in each gap."""
     colour = wp.lerp(cloth.ground, cloth.first, repeated(x, cloth.period, cloth.fill, width))
     if cloth.jitter > 0.0:
@@ -120,7 +120,7 @@ def stripes(cloth: Cloth, x: float, width: float) -> wp.vec3:
 
 
 @wp.func
-def checks(cloth: Cloth, x: float, y: float, width: float) -> wp.vec3:
+def checks(cloth: ClothRow, x: float, y: float, width: float) -> wp.vec3:
     """Gingham: coloured threads both ways, mixed by half where one crosses the ground."""
     warp_share = repeated(x, cloth.period, cloth.fill, width)
     weft_share = repeated(y, cloth.period, cloth.fill, width)
@@ -130,7 +130,7 @@ def checks(cloth: Cloth, x: float, y: float, width: float) -> wp.vec3:
 
 
 @wp.func
-def sett(cloth: Cloth, x: float, width: float) -> wp.vec3:
+def sett(cloth: ClothRow, x: float, width: float) -> wp.vec3:
     """The thread colours of a tartan: bands mirrored about the middle of the sett."""
     period = cloth.period
     w = wp.max(width, 1.0e-3 * period)
@@ -147,13 +147,13 @@ def sett(cloth: Cloth, x: float, width: float) -> wp.vec3:
 
 
 @wp.func
-def tartan(cloth: Cloth, x: float, y: float, width: float) -> wp.vec3:
+def tartan(cloth: ClothRow, x: float, y: float, width: float) -> wp.vec3:
     """The same sett in warp and weft, half of each in view."""
     return (sett(cloth, x, width) + sett(cloth, y, width)) * 0.5
 
 
 @wp.func
-def dots(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
+def dots(cloth: ClothRow, p: wp.vec2, width: float) -> wp.vec3:
     """Dots in rows set off by half a period, or scattered with jitter."""
     period = cloth.period
     radius = 0.5 * cloth.fill * period
@@ -179,7 +179,7 @@ def dots(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
 
 
 @wp.func
-def floral(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
+def floral(cloth: ClothRow, p: wp.vec2, width: float) -> wp.vec3:
     """Flowers with leaves, scattered: one in most cells, two layers of different size."""
     colour = cloth.ground
     before = int(-1)  # a variable: loops of constant length are unrolled
@@ -203,7 +203,7 @@ def floral(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
 
 
 @wp.func
-def flower(cloth: Cloth, under: wp.vec3, d: wp.vec2, scale: float, i: int, j: int, seed: int, layer: int,
+def flower(cloth: ClothRow, under: wp.vec3, d: wp.vec2, scale: float, i: int, j: int, seed: int, layer: int,
            width: float) -> wp.vec3:  # fmt: skip
     """One flower at the origin over the colour ``under``."""
     size = scale * cloth.fill * (0.34 + 0.22 * random2(i, j, seed, 4))
@@ -228,7 +228,7 @@ def flower(cloth: Cloth, under: wp.vec3, d: wp.vec2, scale: float, i: int, j: in
 
 
 @wp.func
-def blotches(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
+def blotches(cloth: ClothRow, p: wp.vec2, width: float) -> wp.vec3:
     """Camouflage of four colours; with jitter above a half, soft marbling of two."""
     q = p * (1.0 / cloth.period)
     soft = width / cloth.period
@@ -244,7 +244,7 @@ def blotches(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
 
 
 @wp.func
-def weave_slope(cloth: Cloth, uv: wp.vec2, width: float) -> wp.vec2:
+def weave_slope(cloth: ClothRow, uv: wp.vec2, width: float) -> wp.vec2:
     """Slope of the threads along both axes of the panel; fades where threads are finer than two pixels."""
     kind = cloth.weave_kind
     phase = uv * (TURN / cloth.pitch)
@@ -269,7 +269,7 @@ def weave_slope(cloth: Cloth, uv: wp.vec2, width: float) -> wp.vec2:
 
 
 @wp.func
-def wrinkle_slope(cloth: Cloth, uv: wp.vec2, panel: int) -> wp.vec2:
+def wrinkle_slope(cloth: ClothRow, uv: wp.vec2, panel: int) -> wp.vec2:
     """Slope of wrinkles of a few centimetres: crossing creases with flat cloth between them."""
     q = uv * 0.16
     bend = wp.vec2(fractal2(q * 0.6, 2, 101 + panel), fractal2(q * 0.6, 2, 211 + panel))
@@ -288,7 +288,7 @@ def ridge(p: wp.vec2, panel: int) -> float:
 
 
 @wp.func
-def yarn_variation(cloth: Cloth, uv: wp.vec2, width: float) -> float:
+def yarn_variation(cloth: ClothRow, uv: wp.vec2, width: float) -> float:
     """Factor of the colour: yarns differ along warp and weft, and wear differs from place to place."""
     if cloth.mottle <= 0.0:
         return 1.0

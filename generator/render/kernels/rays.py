@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from gcd_dataset.generator.render.kernels.records import Cloth, Scenes, Shot
+from gcd_dataset.generator.render.kernels.records import ClothRow, Scenes, Shot
 from gcd_dataset.generator.render.kernels.textures import mixed, unit
 
 wp.set_module_options({"enable_backward": False})
@@ -53,7 +53,7 @@ def kind_of(scenes: Scenes, scene: int, face: int) -> int:
 
 
 @wp.func
-def sheerness(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=Cloth),
+def sheerness(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=ClothRow),
               face: int) -> float:  # fmt: skip
     """Share of light that passes straight through a face of the scene."""
     if kind_of(scenes, shot.scene, face) != GARMENT:
@@ -63,7 +63,7 @@ def sheerness(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), c
 
 
 @wp.func
-def light_through(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=Cloth),
+def light_through(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=ClothRow),
                   start: wp.vec3, direction: wp.vec3) -> float:  # fmt: skip
     """Share of a light's rays that reach ``start``: 0 behind an opaque surface."""
     mesh = scenes.mesh[shot.scene]

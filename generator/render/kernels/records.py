@@ -6,7 +6,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
-class Cloth:
+class ClothRow:
     """Material of a part of a garment. Colours are linear, lengths in cm."""
 
     print_kind: int

@@ -11,7 +11,7 @@ from gcd_dataset.generator.render.kernels.cloth import (
     yarn_variation,
 )
 from gcd_dataset.generator.render.kernels.rays import BODY, EYE, GARMENT, kind_of
-from gcd_dataset.generator.render.kernels.records import Cloth, Scenes, Shot
+from gcd_dataset.generator.render.kernels.records import ClothRow, Scenes, Shot
 from gcd_dataset.generator.render.kernels.textures import inside, noise2, ramp
 
 wp.set_module_options({"enable_backward": False})
@@ -139,7 +139,7 @@ def hit_at(scenes: Scenes, shot: Shot, sky: wp.array2d(dtype=float), face: int, 
 
 
 @wp.func
-def surface_at(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=Cloth),
+def surface_at(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=ClothRow),
                texel: wp.array(dtype=wp.vec3), sky: wp.array2d(dtype=float), face: int, bary: wp.vec2,
                direction: wp.vec3, pixel: float) -> Hit:  # fmt: skip
     """The surface at a hit; ``face`` counts within the scene, ``pixel`` is a pixel's angle [rad]."""
@@ -162,7 +162,7 @@ def surface_at(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), 
 
 @wp.func
 def cloth_surface(s: Hit, scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int),
-                  cloths: wp.array(dtype=Cloth), texel: wp.array(dtype=wp.vec3), face: int, weights: wp.vec3,
+                  cloths: wp.array(dtype=ClothRow), texel: wp.array(dtype=wp.vec3), face: int, weights: wp.vec3,
                   width: float, sign: float) -> Hit:  # fmt: skip
     """Material and relief of the cloth."""
     row = scenes.first_cloth_face[shot.scene] + face
@@ -213,7 +213,7 @@ def falling(distance: float, height: float) -> float:
 
 
 @wp.func
-def stitches(cloth: Cloth, border: wp.vec4, width: float) -> float:
+def stitches(cloth: ClothRow, border: wp.vec4, width: float) -> float:
     """Share of a pixel that stitches cover."""
     share = float(0.0)
     if cloth.stitch_seam > 0.0:

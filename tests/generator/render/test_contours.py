@@ -5,7 +5,7 @@ import pytest
 
 from gcd_dataset.generator.render.strokes import (
     Segments,
-    Stroke,
+    SketchLine,
     by_hand,
     chains,
     cracks,
@@ -76,14 +76,14 @@ def test_smoothing_keeps_straight_lines_and_ends() -> None:
 def test_the_ink_of_a_line_is_its_length_times_its_width(width: float, slope: float) -> None:
     size = 200
     points = np.array([[0.2, 0.2], [0.8, 0.2 + 0.6 * slope]])
-    picture = draw_strokes([Stroke(points, width / size)], size)
+    picture = draw_strokes([SketchLine(points, width / size)], size)
     ink = float((255 - picture.astype(float)).sum()) / 255
     length = size * float(np.linalg.norm(points[1] - points[0]))
     assert ink == pytest.approx(length * width, rel=0.06)
 
 
 def test_dashes_are_equal_and_fill_the_line() -> None:
-    line = Stroke(np.array([[0.1, 0.5], [0.9, 0.5]]), 0.01)
+    line = SketchLine(np.array([[0.1, 0.5], [0.9, 0.5]]), 0.01)
     pieces = dashed(line, 0.05, 0.03)
     assert len(pieces) == 10
     assert np.ptp([piece.length for piece in pieces]) < 1e-12
@@ -92,7 +92,7 @@ def test_dashes_are_equal_and_fill_the_line() -> None:
 
 
 def test_a_hand_stays_near_the_line_and_does_not_repeat_itself() -> None:
-    line = Stroke(np.array([[0.1, 0.5], [0.9, 0.5]]), 0.004)
+    line = SketchLine(np.array([[0.1, 0.5], [0.9, 0.5]]), 0.004)
     first, again, other = (by_hand(line, np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert all((a.points == b.points).all() for a, b in zip(first, again, strict=True))
     assert len(first) != len(other) or not np.array_equal(first[0].points, other[0].points)
