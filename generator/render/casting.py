@@ -14,6 +14,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.drape.device import keep_some_memory, launch_lock
 from gcd_dataset.generator.render.cameras import Camera
+from gcd_dataset.generator.render.environment import EnvironmentKind
 from gcd_dataset.generator.render.geometry import solid_of
 from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import cast, prepare, truths
@@ -279,7 +280,8 @@ def _shade(up: Uploaded, materials: Materials, given: dict[str, wp.array], size:
     if not plain.all():
         cells = (len(up.meshes), prepare.FLOOR_CELLS, prepare.FLOOR_CELLS)
         floor = wp.empty(cells, dtype=float, device=device)
-        wp.launch(prepare.floor_visibility, cells, inputs=[up.scenes, up.middle], outputs=[floor], device=device)
+        if np.isin(materials.shots["place"], (EnvironmentKind.SWEEP, EnvironmentKind.ROOM)).any():
+            wp.launch(prepare.floor_visibility, cells, inputs=[up.scenes, up.middle], outputs=[floor], device=device)
         inputs = [up.scenes, shots, cloth_of_panel, cloths, texels, glow, up.middle, sky, floor, SIDE]
         inputs += [hit_face, hit_uv, least]
         wp.launch(cast.shade_pixels, rays[:3], inputs=inputs, outputs=[picture], device=device)

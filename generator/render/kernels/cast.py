@@ -142,15 +142,12 @@ def shade_pixels(scenes: Scenes, shots: wp.array(dtype=Shot), cloth_of_panel: wp
             # Beneath sheer cloth, the sky that the cloth hides shines through.
             s.clear = wp.lerp(s.clear, 1.0, 0.6 * under)
             toward = wp.dot(s.flat, shot.key_direction)
-            lit = float(0.0)
             origin = s.smooth + s.flat * LIFT
             if toward < 0.0 and s.transmission > 0.0:
                 origin = s.point - s.flat * LIFT
+            lit = float(0.0)
             if toward > -0.3 or s.transmission > 0.0:
-                for r in range(SHADOW_RAYS):
-                    share = (float(k * SHADOW_RAYS + r) + 0.5) / float(hit_face.shape[3] * SHADOW_RAYS)
-                    key = towards_key(shot, share, fraction(turn + float(r) * 0.381966))
-                    lit += light_through(scenes, shot, cloth_of_panel, cloths, origin, key) / float(SHADOW_RAYS)
+                lit = share_of_key(scenes, shot, cloth_of_panel, cloths, origin, k, hit_face.shape[3], turn)
             opaque = 1.0 - s.through * wp.sqrt(wp.abs(wp.dot(s.flat, direction)))
             light += reflected(s, shot, glow, number, direction, lit) * (weight * opaque)
             weight *= 1.0 - opaque
@@ -170,13 +167,8 @@ def shade_pixels(scenes: Scenes, shots: wp.array(dtype=Shot), cloth_of_panel: wp
             lit = float(1.0)
             clear = float(1.0)
             if b.floor > 0.0:
-                share = (float(k) + 0.5) / float(hit_face.shape[3])
                 start = b.point + b.normal * 0.05
-                arriving = float(0.0)
-                for r in range(SHADOW_RAYS):
-                    share = (float(k * SHADOW_RAYS + r) + 0.5) / float(hit_face.shape[3] * SHADOW_RAYS)
-                    key = towards_key(shot, share, fraction(turn + float(r) * 0.381966))
-                    arriving += light_through(scenes, shot, cloth_of_panel, cloths, start, key) / float(SHADOW_RAYS)
+                arriving = share_of_key(scenes, shot, cloth_of_panel, cloths, start, k, hit_face.shape[3], turn)
                 lit = wp.lerp(1.0, arriving, b.floor)
                 clear = wp.lerp(1.0, floor_at(floor, shot.scene, stand, b.point), b.floor)
             cosine = wp.max(0.0, wp.dot(b.normal, shot.key_direction))
@@ -192,6 +184,18 @@ def shade_pixels(scenes: Scenes, shots: wp.array(dtype=Shot), cloth_of_panel: wp
 
 
 # -------------------------------------------------------------------------------------------------------------- light
+
+
+@wp.func
+def share_of_key(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=ClothRow),
+                 start: wp.vec3, k: int, samples: int, turn: float) -> float:  # fmt: skip
+    """Share of the key light that reaches a point, by the shadow rays of sample ``k`` of its pixel."""
+    lit = float(0.0)
+    for r in range(SHADOW_RAYS):
+        share = (float(k * SHADOW_RAYS + r) + 0.5) / float(samples * SHADOW_RAYS)
+        key = towards_key(shot, share, fraction(turn + float(r) * 0.381966))
+        lit += light_through(scenes, shot, cloth_of_panel, cloths, start, key) / float(SHADOW_RAYS)
+    return lit
 
 
 @wp.func

@@ -135,6 +135,19 @@ def hit_at(scenes: Scenes, shot: Shot, sky: wp.array2d(dtype=float), face: int, 
     s.normal = s.round
     s.clear = sky[s.wrong, i] * weights[0] + sky[s.wrong, j] * weights[1] + sky[s.wrong, k] * weights[2]
     s.kind = kind_of(scenes, shot.scene, face)
+    s.warmth = 0.0
+    s.transmission = 0.0
+    s.through = 0.0
+    return s
+
+
+@wp.func
+def finished(s: Hit, roughness: float, specular: float, sheen: float, scatter: float) -> Hit:
+    """The hit with a gloss."""
+    s.roughness = roughness
+    s.specular = specular
+    s.sheen = sheen
+    s.scatter = scatter
     return s
 
 
@@ -192,11 +205,7 @@ def cloth_surface(s: Hit, scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(d
     colour = colour * (1.0 - gap)
     colour = wp.lerp(colour, cloth.stitch_colour, stitches(cloth, border, width))
     s.colour = wp.vec3(wp.clamp(colour[0], 0.0, 0.95), wp.clamp(colour[1], 0.0, 0.95), wp.clamp(colour[2], 0.0, 0.95))
-    s.roughness = cloth.roughness
-    s.specular = cloth.specular
-    s.sheen = cloth.sheen
-    s.scatter = 0.12
-    s.warmth = 0.0
+    s = finished(s, cloth.roughness, cloth.specular, cloth.sheen, 0.12)
     s.transmission = cloth.transmission
     s.through = cloth.translucency
     # Seams and hems are several layers thick.
@@ -268,19 +277,10 @@ def body_surface(s: Hit, scenes: Scenes, shot: Shot, corners: wp.vec3i, weights:
         + scenes.mask[corners[2] + shift] * weights[2]
     )
     s.colour = body_colour(shot, mask, s.point, width)
-    s.roughness = 0.5
-    s.specular = 0.028 * (0.35 + shot.gloss)
-    s.sheen = 0.04
-    s.scatter = 0.22
-    s.warmth = 1.0
     if is_underwear(shot, mask):
-        s.roughness = 0.8
-        s.specular = 0.02
-        s.scatter = 0.12
-        s.warmth = 0.0
-    s.transmission = 0.0
-    s.through = 0.0
-    return s
+        return finished(s, 0.8, 0.02, 0.04, 0.12)
+    s.warmth = 1.0
+    return finished(s, 0.5, 0.028 * (0.35 + shot.gloss), 0.04, 0.22)
 
 
 @wp.func
@@ -292,14 +292,7 @@ def hair_surface(s: Hit, shot: Shot, scenes: Scenes) -> Hit:
     around = wp.normalize(wp.cross(wp.vec3(0.0, 1.0, 0.0), s.round) + wp.vec3(1.0e-4, 0.0, 0.0))
     s.normal = wp.normalize(s.round + around * (0.5 * strand))
     s.colour = shot.hair * (1.0 + 0.45 * strand)
-    s.roughness = 0.55
-    s.specular = 0.025
-    s.sheen = 0.03
-    s.scatter = 0.2
-    s.warmth = 0.0
-    s.transmission = 0.0
-    s.through = 0.0
-    return s
+    return finished(s, 0.55, 0.025, 0.03, 0.2)
 
 
 @wp.func
@@ -313,14 +306,7 @@ def eye_surface(s: Hit, shot: Shot, scenes: Scenes) -> Hit:
     s.normal = wp.normalize(direction)
     s.colour = eye_colour(shot, s.normal)
     s.clear = 0.45  # the sockets' vertices lie behind the eyes
-    s.roughness = 0.3
-    s.specular = 0.02
-    s.sheen = 0.0
-    s.scatter = 0.1
-    s.warmth = 0.0
-    s.transmission = 0.0
-    s.through = 0.0
-    return s
+    return finished(s, 0.3, 0.02, 0.0, 0.1)
 
 
 @wp.func
