@@ -40,12 +40,14 @@ from gcd_dataset.generator.render import (
     start_pictures,
 )
 from gcd_dataset.generator.render.pictures import Picture
-from gcd_dataset.generator.render.plain import SIDES, SKIN, plain_view
+from gcd_dataset.generator.render.plain import SKIN, plain_view
 from gcd_dataset.generator.views import stored_body, stored_scene
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.tensors import PANEL_LABELS
 from gcd_dataset.workers import prefetch, streams
+
+SIDES = 2  # pictures of a garment: front, back
 
 
 class Input(StrEnum):
@@ -203,11 +205,11 @@ def rendered(share: Share) -> Generator[Rendered]:
 def views_of(what: Input, seed: int, garment: ShownGarment, row: int, epoch: int) -> tuple[Scene, list[View]]:
     """The scene of a garment and its front and back view, a function of input, seed, garment and epoch."""
     ranges = HELD_OUT if what is Input.HELD_OUT else TRAINING
-    streams = [rng(seed, garment.index, Stage.VIEW, epoch * VIEWS_PER_EPOCH + side) for side in range(len(SIDES))]
-    of_sides = [replace(ranges, camera=_turned(ranges.camera, 180.0 * side)) for side in range(len(SIDES))]
+    streams = [rng(seed, garment.index, Stage.VIEW, epoch * VIEWS_PER_EPOCH + side) for side in range(SIDES)]
+    of_sides = [replace(ranges, camera=_turned(ranges.camera, 180.0 * side)) for side in range(SIDES)]
     scene = garment.scene
     if what is Input.PLAIN:
-        return scene, [plain_view(scene, side, row=row) for side in SIDES]
+        return scene, [plain_view(scene, side, row=row) for side in ("front", "back")]
     if what is Input.GREY:
         cameras = [draw_camera(stream, scene, ranges=r.camera) for stream, r in zip(streams, of_sides, strict=True)]
         return scene, [_grey_view(scene, camera, row) for camera in cameras]
@@ -240,10 +242,10 @@ def _start(share: Share, what: Input, garments: Sequence[ShownGarment], epoch: i
 
 def _finished(started: _Started) -> Rendered:
     found = started.pictures.pictures()
-    scenes = [scene for scene in started.scenes for _ in range(len(SIDES))]
+    scenes = [scene for scene in started.scenes for _ in range(SIDES)]
     labels = [_labels(picture, scene) for picture, scene in zip(found, scenes, strict=True)]
     pictures = [picture.rgb for picture in found]
-    shape = (len(started.positions), len(SIDES))
+    shape = (len(started.positions), SIDES)
     return Rendered(
         started.what,
         started.positions,

@@ -1,7 +1,6 @@
 """Plain pictures, as data sets store them: front and back in flat panel colours on paper."""
 
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -17,7 +16,7 @@ from gcd_dataset.generator.render.pictures import MapName, PlainView
 from gcd_dataset.generator.render.scene import Scene, figure_scene, scene_of
 from gcd_dataset.records import Body, BoxMesh, Sample
 
-SIDES: tuple[Literal["front"], Literal["back"]] = ("front", "back")
+SIDES = ("front", "back")
 SKIN: RGB = (0.80, 0.76, 0.72)
 WRONG_SIDE = 0.55  # brightness of the wrong side of cloth, relative to the right side
 CLOTHS = tuple(ClothLook(Print(colours=(colour,) * 4), wrong_side=WRONG_SIDE) for colour in PALETTE)
@@ -29,7 +28,7 @@ def garment_scene(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh, body: Body)
     return scene_of(mesh, vertices, body) if np.isfinite(vertices).all() else figure_scene(body)
 
 
-def plain_view(scene: Scene, side: Literal["front", "back"] = "front", *, row: int = 0) -> PlainView:
+def plain_view(scene: Scene, side: str = "front", *, row: int = 0) -> PlainView:
     """A plain view of a scene, which is in ``row`` of the list to be rendered."""
     look = Appearance(CLOTHS, np.arange(len(scene.panel_names)) % len(CLOTHS), underwear=Underwear(SKIN))
     camera = fixed_camera(scene, side)
@@ -46,11 +45,11 @@ def start_plain(
 
 
 def render_view(
-    scene: Scene, *, size: int = 512, view: Literal["front", "back"] = "front", device: str = "auto"
+    scene: Scene, *, size: int = 512, view: str = "front", device: str = "auto"
 ) -> UInt8[np.ndarray, "h w 3"]:
     """A square picture of a scene in plain colours, framed alike from the front and from behind.
 
-    Raises ``ConfigError`` for a missing device or a size below 1.
+    Raises ``ConfigError`` for a missing device, a size below 1, or a view besides ``front`` and ``back``.
     """
     [picture] = start_pictures([scene], [plain_view(scene, view)], size=size, device=device).pictures()
     return picture.rgb
