@@ -266,9 +266,7 @@ def test_places_fill_the_picture_and_light_the_figure() -> None:
     views += [
         replace(view, camera=ahead(600.0, focal=1.2), environment=room),
         replace(view, camera=ahead(400.0, focal=1.0), environment=Environment(EnvironmentKind.PHOTOGRAPH, image=image)),
-        replace(
-            view, lights=unlit, camera=ahead(200.0), environment=Environment(EnvironmentKind.PANORAMA, image=panorama)
-        ),
+        replace(view, lights=unlit, camera=ahead(200.0), environment=Environment(EnvironmentKind.PANORAMA, image=glow)),
         replace(view, environment=DARK),
     ]
     *every, outside, photograph, lit, dark = shots(scene, views)

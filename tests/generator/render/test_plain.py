@@ -76,10 +76,9 @@ def test_a_garment_looks_the_same_alone_as_among_others() -> None:
     scenes = [garment_scene(one.box_mesh.vertices, one.box_mesh, one.body) for one in wearers if one.box_mesh]
     together = start_plain(scenes, size=48, device="cpu").pictures()
     drawn, beside = render(scenes, [*draw_views(1, 1, scenes[1], 1, row=1), plain_view(scenes[1], row=1)], size=48)
-    alone = [render_view(scene, size=48, view=side, device="cpu") for scene in scenes for side in SIDES]
-    assert len(alone) == 4
-    assert all(np.array_equal(one.rgb, other) for one, other in zip(together, alone, strict=True))
-    assert np.array_equal(beside.rgb, alone[2])
+    alone = [render_view(scene, size=48, view=side, device="cpu") for scene, side in zip(scenes, SIDES, strict=True)]
+    assert [np.array_equal(together[k].rgb, one) for k, one in zip((0, 3), alone, strict=True)] == [True, True]
+    assert np.array_equal(beside.rgb, together[2].rgb)
     assert not is_paper(drawn.rgb).all()
 
 
