@@ -303,7 +303,7 @@ def _truths(up: Uploaded, shots: wp.array, maps: Sequence[MapName], size: int, d
     arrays: dict[str, wp.array] = {}
     for name, (kind, channels, background) in MAP_TYPES.items():
         asked = name in maps
-        setattr(wanted, FLAGS.get(name, name), int(asked))
+        setattr(wanted, name, int(asked))
         pixels = (len(shots), size, size) if asked else (1, 1, 1)
         shape = (*pixels, channels) if channels else pixels
         arrays[name] = wp.full(shape, WARP_TYPES[kind](background), dtype=WARP_TYPES[kind], device=device)
@@ -311,6 +311,3 @@ def _truths(up: Uploaded, shots: wp.array, maps: Sequence[MapName], size: int, d
     inputs = [up.scenes, shots, wanted, size]
     wp.launch(truths.see_centres, rays, inputs=inputs, outputs=list(arrays.values()), device=device)
     return {name: arrays[name] for name in maps}
-
-
-FLAGS = {"panel_id": "panel"}  # fields of ``Wanted`` with another name than their map

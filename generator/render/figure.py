@@ -87,7 +87,7 @@ def hair_shell(scene: Scene) -> Shell:
     plan = _model_hair(style) if len(body.parts) == _model_vertices() else _hair_plan(body, style)
     points = body.vertices[plan.rows]
     rise = np.minimum(plan.rise, _room_under_cloth(points, plan.faces, scene, HAIR_DEPTH[style]))
-    return Shell(points + rise[:, None] * _vertex_normals(points, plan.faces), plan.faces)
+    return Shell(points + rise[:, None] * vertex_normals(points, plan.faces), plan.faces)
 
 
 def eyeballs(body: Body) -> Eyes:
@@ -106,6 +106,15 @@ def eyeballs(body: Body) -> Eyes:
     ball, faces = _ball()
     vertices = np.concatenate([centre + radius * ball for centre in centres])
     return Eyes(vertices, np.concatenate([faces, faces + len(ball)]), centres, radius)
+
+
+def vertex_normals(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Float[np.ndarray, "n 3"]:
+    """Unit vertex normals: face normals weighted by area."""
+    a, b, c = vertices.astype(float)[faces].transpose(1, 0, 2)
+    normal = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    corner = faces.ravel()
+    total = np.stack([np.bincount(corner, normal[:, k], minlength=len(vertices)) for k in range(3)], axis=1)
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers
@@ -272,13 +281,3 @@ def _ball() -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]:
             faces += [(a, a + EYE_SECTORS, b), (b, a + EYE_SECTORS, b + EYE_SECTORS)]
         faces.append((last, last - EYE_SECTORS + after, last - EYE_SECTORS + k))
     return points, np.array(faces)
-
-
-def _vertex_normals(points: Float[np.ndarray, "h 3"], faces: Int[np.ndarray, "g 3"]) -> Float[np.ndarray, "h 3"]:
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    flat = np.cross(b - a, c - a)
-    total = np.zeros_like(points)
-    for k in range(3):
-        for axis in range(3):
-            total[:, axis] += np.bincount(faces[:, k], flat[:, axis], minlength=len(points))
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)

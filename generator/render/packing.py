@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render.appearance import RGB, Appearance, ClothLook
-from gcd_dataset.generator.render.environment import Environment, EnvironmentKind
+from gcd_dataset.generator.render.environment import EnvironmentKind
 from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import records
 from gcd_dataset.generator.render.pictures import PlainView, View
@@ -82,10 +82,7 @@ def pack_views(views: Sequence[View], scenes: Sequence[Scene], rows: dict[int, i
             cloths.extend(look.cloths)
         elif len(look.cloth_of_panel) != len(scene.panel_names):
             _cloth_rows(look, scene)
-        _pack_camera(shot, view)
-        _pack_lights(shot, view)
-        _pack_place(shot, view.environment, texels)
-        _pack_figure(shot, look)
+        _pack_shot(shot, view, texels)
         shot["scene"], shot["plain"] = rows[view.scene], int(isinstance(view, PlainView))
         shot["first_panel"] = known[id(look)]
         shot["sheer"] = int(any(cloth.translucency > SHEER for cloth in look.cloths))
@@ -120,29 +117,20 @@ def _cloth_rows(look: Appearance, scene: Scene) -> Int[np.ndarray, " p"]:
     return np.asarray(look.cloth_of_panel)
 
 
-def _pack_camera(shot: np.void, view: View) -> None:
-    camera = view.camera
+def _pack_shot(shot: np.void, view: View, texels: _Texels) -> None:
+    """Camera, lights, place and figure of a view."""
+    look, camera, lights, place = view.appearance, view.camera, view.lights, view.environment
     shot["right"], shot["down"], shot["forward"] = camera.rotation
     shot["eye"], shot["focal"], shot["shift"], shot["seed"] = camera.eye, camera.focal, camera.shift, view.seed
-
-
-def _pack_lights(shot: np.void, view: View) -> None:
-    lights = view.lights
     shot["key_direction"], shot["key"], shot["key_size"] = lights.key_direction, lights.key, lights.key_size
     fill = lights.fill_direction
     shot["fill_direction"] = lights.key_direction if fill is None else fill
     shot["fill"] = np.zeros(3) if fill is None else lights.fill
     shot["exposure"] = lights.exposure
-
-
-def _pack_place(shot: np.void, place: Environment, texels: _Texels) -> None:
     shot["place"], shot["place_size"], shot["place_seed"] = int(place.kind), place.size, place.seed
     shot["wall"], shot["floor"], shot["accent"] = linear_light(np.array(place.colours))
     shot["turn"] = np.cos(place.turn), np.sin(place.turn)
     shot["texels"], shot["width"], shot["height"] = texels.add(place.image)
-
-
-def _pack_figure(shot: np.void, look: Appearance) -> None:
     shot["skin"], shot["gloss"] = skin_albedo(look.skin.colour), look.skin.gloss
     shot["hair"], shot["eyes"] = linear_light(np.array([look.hair.colour, look.eyes]))
     shot["bare"] = int(look.underwear is None)

@@ -25,7 +25,7 @@ class Wanted:
     depth: int
     normals: int
     part: int
-    panel: int
+    panel_id: int
     seam: int
     uv: int
     silhouette: int
@@ -87,7 +87,7 @@ def see_centres(scenes: Scenes, shots: wp.array(dtype=Shot), wanted: Wanted, siz
     if kind != GARMENT:
         return
     face = scenes.first_cloth_face[shot.scene] + hit.face
-    if wanted.panel == 1:
+    if wanted.panel_id == 1:
         panel[number, row, column] = wp.int16(scenes.panel[face])
     place = uv_at(scenes, face, weights)
     if wanted.uv == 1:
