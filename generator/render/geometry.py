@@ -42,8 +42,6 @@ class Solid(Record):
     hair_faces: int
     garment_vertices: int
     borders: PanelBorders
-    panel_of_row: Int[np.ndarray, " c"]
-    """Panel of each row of ``uv``."""
     masks: BodyMasks
     """Of the vertices of the body."""
     eyes: Eyes
@@ -73,20 +71,19 @@ def solid_of(scene: Scene) -> Solid:
         body_faces=len(body.faces),
         hair_faces=len(hair.faces),
         garment_vertices=len(scene.vertices),
-        borders=panel_borders(scene, scene.panel_of_row),
-        panel_of_row=scene.panel_of_row,
+        borders=panel_borders(scene),
         masks=body_masks(scene.body),
         eyes=eyes,
     )
 
 
-def panel_borders(scene: Scene, panel_of_row: Int[np.ndarray, " c"]) -> PanelBorders:
+def panel_borders(scene: Scene) -> PanelBorders:
     """The outlines of all panels, found in the mesh, with the seam of each segment."""
     face, k, ends = _border_edges(scene.corners, len(scene.uv))
     seam = _seam_of_edge(scene, scene.uv_vertex[ends])
     bits = np.where(seam == HEM, 8, 1) << k
     flags = np.bincount(face, bits, minlength=len(scene.faces)).astype(np.int32)
-    panel = panel_of_row[ends[:, 0]]
+    panel = scene.panel_of_row[ends[:, 0]]
     order = np.argsort(panel, kind="stable")
     along = _lengths_along(ends, scene.uv, len(scene.uv))
     first = np.searchsorted(panel[order], np.arange(len(scene.panel_names) + 1))

@@ -274,7 +274,8 @@ def parts_of(scene: Scene) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]
         if (garment == before).all():
             break
     _, garment = np.unique(garment, return_inverse=True)
-    return garment.reshape(-1), np.array([_part(name) for name in scene.panel_names], int)
+    parts = [next((part for part, words in NAMES_OF_PARTS if words.search(name)), UPPER) for name in scene.panel_names]
+    return garment.reshape(-1), np.array(parts, int)
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers
@@ -302,6 +303,8 @@ PERIODS = {
     PrintKind.IMAGE: (6.0, 40.0),
 }
 """Ranges of ``Print.period`` [cm]."""
+FILLS = {PrintKind.DOTS: (0.2, 0.65), PrintKind.FLORAL: (0.5, 0.95)}
+"""Ranges of ``Print.fill``, where they are not those of stripes."""
 
 
 def _check(ranges: AppearanceRanges, names: tuple[str, ...]) -> None:
@@ -310,10 +313,6 @@ def _check(ranges: AppearanceRanges, names: tuple[str, ...]) -> None:
         raise ConfigError(f"unknown looks {', '.join(unknown)}: choose from {', '.join(LOOKS)}")
     if not ranges.tones or not all(1 <= tone <= len(MONK_TONES) for tone in ranges.tones):
         raise ConfigError(f"skin tones {ranges.tones}: give some of 1 to {len(MONK_TONES)}")
-
-
-def _part(name: str) -> int:
-    return next((part for part, pattern in NAMES_OF_PARTS if pattern.search(name)), UPPER)
 
 
 def _draw_figure(rng: np.random.Generator, ranges: AppearanceRanges) -> tuple[Skin, Hair, RGB, Underwear]:
@@ -363,18 +362,13 @@ def _draw_print(rng: np.random.Generator, look: Look, ranges: AppearanceRanges) 
         kind=kind,
         colours=colours,
         period=math.exp(rng.uniform(*np.log(PERIODS[kind]))),
-        fill=_fill(rng, kind),
+        fill=0.5 if kind is PrintKind.CHECKS else float(rng.uniform(*FILLS.get(kind, (0.15, 0.6)))),
         angle=_angle(rng, kind),
         jitter=float(rng.random()) if rng.random() < 0.5 else 0.0,
         matched=bool(rng.random() < 0.3),
         seed=int(rng.integers(1 << 20)),
         image=image,
     )
-
-
-def _fill(rng: np.random.Generator, kind: PrintKind) -> float:
-    low, high = {PrintKind.DOTS: (0.2, 0.65), PrintKind.FLORAL: (0.5, 0.95)}.get(kind, (0.15, 0.6))
-    return 0.5 if kind is PrintKind.CHECKS else float(rng.uniform(low, high))
 
 
 def _angle(rng: np.random.Generator, kind: PrintKind) -> float:

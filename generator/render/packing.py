@@ -179,12 +179,9 @@ def panorama_glow(image: Float[np.ndarray, "h w 3"], turn: float) -> Float[np.nd
     normals = _sphere(256)
     weights = np.maximum(normals @ towards.T, 0.0) * area
     arriving = weights @ small.reshape(-1, 3) / weights.sum(axis=1, keepdims=True)
-    return np.linalg.lstsq(_quadratic(normals), arriving, rcond=None)[0]
-
-
-def _quadratic(n: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 9"]:
-    x, y, z = n.T
-    return np.stack([np.ones_like(x), x, y, z, x * y, y * z, z * x, y * y, x * x - z * z], axis=1)
+    x, y, z = normals.T
+    factors = np.stack([np.ones_like(x), x, y, z, x * y, y * z, z * x, y * y, x * x - z * z], axis=1)
+    return np.linalg.lstsq(factors, arriving, rcond=None)[0]
 
 
 def _sphere(count: int) -> Float[np.ndarray, "n 3"]:

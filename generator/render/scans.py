@@ -74,7 +74,9 @@ class RangeImage(Record):
         normals = np.zeros((*self.face.shape, 3), np.float32)
         seen = self.covered
         corner = self.vertex_normals[_faces(self.scene)[self.face[seen]]]
-        own = np.einsum("nk,nkc->nc", _three(self.weights[seen]), corner)
+        first_two = self.weights[seen]
+        weights = np.column_stack([first_two, 1.0 - first_two.sum(axis=1)])
+        own = np.einsum("nk,nkc->nc", weights, corner)
         own /= np.maximum(np.linalg.norm(own, axis=1, keepdims=True), 1e-12)
         facing = np.einsum("nc,nc->n", own, self.positions()[seen] - self.camera.eye)
         normals[seen] = np.where(facing[:, None] > 0, -own, own)
@@ -150,10 +152,6 @@ class Ranger:
 
 def _faces(scene: Scene) -> Int[np.ndarray, "m 3"]:
     return np.concatenate([scene.faces, scene.body.faces + len(scene.vertices)])
-
-
-def _three(weights: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
-    return np.column_stack([weights, 1.0 - weights.sum(axis=1)])
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ Lines are found in a range image and drawn as smooth strokes at any size:
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -21,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render.cameras import Camera, look_at
-from gcd_dataset.generator.render.geometry import HEM, panel_borders
+from gcd_dataset.generator.render.geometry import HEM, PanelBorders, panel_borders
 from gcd_dataset.generator.render.scans import RangeImage, Ranger
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.render.strokes import (
@@ -159,6 +160,10 @@ class _Lines:
         self.clearance = self._clearance()
         """Distance of each pixel from outline and edges [cm]."""
 
+    @cached_property
+    def borders(self) -> PanelBorders:
+        return panel_borders(self.image.scene)
+
     def outlines(self) -> list[SketchLine]:
         return self._strokes("outline", chains(cracks(*self.border)))
 
@@ -174,10 +179,7 @@ class _Lines:
 
     def seams(self) -> list[SketchLine]:
         """The pattern's seams that are seen."""
-        scene = self.image.scene
-        panel_of_row = np.zeros(len(scene.uv), np.int64)
-        panel_of_row[scene.corners] = scene.panel_id[:, None]
-        borders = panel_borders(scene, panel_of_row)
+        scene, borders = self.image.scene, self.borders
         sewn = scene.uv_vertex[borders.ends[borders.seam != HEM]]
         pairs = np.unique(np.sort(sewn, axis=1), axis=0)
         runs: list[np.ndarray] = []
@@ -189,8 +191,10 @@ class _Lines:
 
     def hems(self) -> list[SketchLine]:
         """Dashes at ``HEM_STITCH`` from the edges of the cloth, on its outside."""
-        lines = chains(level_lines(self._distance_to_hems(), HEM_STITCH))
-        strokes = self._strokes("hem", [run for line in lines for run in self._clear(line, "hem")])
+        runs: list[np.ndarray] = []
+        for line in chains(level_lines(self._distance_to_hems(), HEM_STITCH)):
+            runs += _runs(line, self.clearance[_at(line, self.cloth.shape)] > CLEAR["hem"], gap=3)
+        strokes = self._strokes("hem", runs)
         long = [stroke for stroke in strokes if stroke.length * self.image.size > 2 * DASH * self.cm]
         dash, gap = DASH * self.cm / self.image.size, GAP * self.cm / self.image.size
         return [piece for stroke in long for piece in dashed(stroke, dash, gap)]
@@ -213,7 +217,8 @@ class _Lines:
 
     def _jump_lines(self, surface: Bool[np.ndarray, "h w"]) -> list[np.ndarray]:
         """Lines along which the depth of a surface jumps: by ``LEAST_JUMP`` all along, by ``JUMP`` in places."""
-        least = [(jump > LEAST_JUMP) & pair for jump, pair in zip(self.jumps, _both(surface), strict=True)]
+        both = surface[:, :-1] & surface[:, 1:], surface[:-1] & surface[1:]
+        least = [(jump > LEAST_JUMP) & pair for jump, pair in zip(self.jumps, both, strict=True)]
         strong = _distance_to(*(jump > JUMP for jump in self.jumps)) <= 1.0
         whole = [line for line in chains(cracks(*least)) if len(line) > SPECK * self.cm]
         lines = linked(whole, LINK * self.cm)
@@ -253,16 +258,10 @@ class _Lines:
         inside = ((pixels >= 0) & (pixels < np.array(shape[::-1]))).all(axis=1)
         return inside & (nearest < HIDDEN) & (self.clearance[at] > CLEAR["seam"])
 
-    def _clear(self, line: np.ndarray, kind: str) -> list[np.ndarray]:
-        return _runs(line, self.clearance[_at(line, self.cloth.shape)] > CLEAR[kind], gap=3)
-
     def _distance_to_hems(self) -> Float[np.ndarray, "h w"]:
         """Distance along the cloth to the next edge without a seam [cm]; NaN off the cloth's outside."""
         scene, image = self.image.scene, self.image
-        panel_of_row = np.zeros(len(scene.uv), np.int64)
-        panel_of_row[scene.corners] = scene.panel_id[:, None]
-        borders = panel_borders(scene, panel_of_row)
-        ends = borders.ends[borders.seam == HEM]
+        ends = self.borders.ends[self.borders.seam == HEM]
         distance = np.full(image.face.shape, np.nan)
         outside = self.cloth & ~self.turned
         if not len(ends) or not outside.any():
@@ -271,7 +270,7 @@ class _Lines:
         share = np.linspace(0.0, 1.0, 9)[:, None, None]
         # Panels lie on one plane each; a third coordinate keeps them apart.
         along = np.column_stack(
-            [((1 - share) * a + share * b).reshape(-1, 2), np.tile(panel_of_row[ends[:, 0]], 9) * 1e3]
+            [((1 - share) * a + share * b).reshape(-1, 2), np.tile(scene.panel_of_row[ends[:, 0]], 9) * 1e3]
         )
         here = np.column_stack([_uv_at(image, outside), image.panel[outside] * 1e3])
         most = HEM_STITCH + 3.0
@@ -307,10 +306,6 @@ def _seen_from_behind(image: RangeImage) -> Bool[np.ndarray, "h w"]:
     away = np.einsum("fc,fc->f", np.cross(b - a, c - a), a - image.camera.eye) > 0
     own = image.garment
     return own & away[np.where(own, image.face, 0)]
-
-
-def _both(mask: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
-    return mask[:, :-1] & mask[:, 1:], mask[:-1] & mask[1:]
 
 
 def _differ(mask: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:

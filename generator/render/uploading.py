@@ -149,7 +149,7 @@ def stage(scenes: Sequence[Scene], solids: Sequence[Solid], staging: StagingBuff
     staged.add("eye", np.array(eyes, float).reshape(-1, 4), np.float32, wp.vec4)
     body_at = first_vertex[:-1] + [s.garment_vertices for s in solids]
     staged.add("first_body_vertex", body_at, np.int32, wp.int32)
-    middle = np.array([_stand(scene) for scene in scenes], float).reshape(-1, 3)
+    middle = np.array([0.5 * (low + high) * [1.0, 0.0, 1.0] for low, high in (scene.bounds() for scene in scenes)])
     staged.others["middle"] = staged_values(staging, middle, np.float32), wp.vec3
     _stage_cloth(staged, scenes, solids)
     _stage_bodies(staged, scenes, solids)
@@ -196,7 +196,7 @@ def _stage_cloth(staged: StagedScenes, scenes: Sequence[Scene], solids: Sequence
     fields["panel"] = _joined(staging, [scene.panel_id for scene in scenes], np.int32), wp.int32
     fields["edge_flags"] = _joined(staging, [border.flags for border in borders], np.int32), wp.int32
     fields["uv"] = _joined(staging, [scene.uv for scene in scenes], np.float32, 2), wp.vec2
-    panel_of_row = _joined(staging, [solid.panel_of_row for solid in solids], np.int32, 0, first_panel)
+    panel_of_row = _joined(staging, [scene.panel_of_row for scene in scenes], np.int32, 0, first_panel)
     firsts = [border.first[:-1] + begin for border, begin in zip(borders, first_segment[:-1], strict=True)]
     segments = np.append(np.concatenate(firsts), first_segment[-1])
     others["segments"] = staged_values(staging, segments, np.int32), wp.int32
@@ -247,8 +247,3 @@ def _joined(
 
 def _starts(counts: Sequence[int]) -> np.ndarray:
     return np.cumsum([0, *counts], dtype=np.int64)
-
-
-def _stand(scene: Scene) -> tuple[float, float, float]:
-    low, high = scene.bounds()
-    return 0.5 * float(low[0] + high[0]), 0.0, 0.5 * float(low[2] + high[2])
