@@ -2,18 +2,16 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, get_args
 
 import numpy as np
 import warp as wp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.drape.device import keep_some_memory, launch_lock
-from gcd_dataset.generator.render.cameras import Camera
 from gcd_dataset.generator.render.environment import EnvironmentKind
 from gcd_dataset.generator.render.geometry import solid_of
 from gcd_dataset.generator.render.images import linear_light
@@ -31,33 +29,6 @@ from gcd_dataset.generator.render.uploading import (
     upload,
     wrapped,
 )
-from gcd_dataset.records import Record
-
-
-@dataclass(frozen=True, eq=False)
-class Points(Record):
-    """Panel corners, then landmarks, as one camera sees them."""
-
-    positions: Float[np.ndarray, "n 3"]
-    """[cm]"""
-    pixels: Float[np.ndarray, "n 2"]
-    """Column and row; NaN behind the camera."""
-    in_picture: Bool[np.ndarray, " n"]
-    corners: int
-    """Number of panel corners."""
-    panel_corners: Int[np.ndarray, "k 2"]
-    landmark_names: tuple[str, ...]
-
-
-def points_of(scene: Scene, camera: Camera, size: int) -> Points:
-    """The points of a scene in a picture of ``size`` pixels."""
-    corners = scene.vertices[scene.uv_vertex[scene.corner_rows]]
-    marks = np.array(list(scene.landmarks.values())).reshape(-1, 3)
-    positions = np.concatenate([corners, marks])
-    pixels = camera.project(positions, size)
-    inside = np.asarray((np.abs(pixels - 0.5 * (size - 1)) <= 0.5 * size).all(axis=1))
-    return Points(positions, pixels, inside, len(corners), scene.panel_corners, tuple(scene.landmarks))
-
 
 SIDE = 2  # rays along each side of a pixel
 POLL = 2e-4  # s between two looks at a GPU
@@ -130,7 +101,8 @@ class PendingPictures:
     ) -> None:
         self._views, self._size, self._maps = views, size, tuple(maps)
         self._staging = StagingBuffers(device)
-        self._points: list[Points] = [points_of(scenes[view.scene], view.camera, size) for view in views]
+        self._scenes = [scenes[view.scene] for view in views]
+        self._positions = [_marked_points(scene) for scene in self._scenes]
         self._results: dict[str, np.ndarray] = {}
         self._rendered: wp.Event | None = None
         self._kept: object = None
@@ -175,29 +147,31 @@ class PendingPictures:
         self._staging.release()
 
     def _finished(self) -> Iterator[Picture]:
-        begin = 0
-        for row, (view, points) in enumerate(zip(self._views, self._points, strict=True)):
-            end = begin + len(points.positions)
-            visible = points.in_picture & (self._results["visible"][begin:end] == 1)
-            begin, corners = end, points.corners
+        size, begin = self._size, 0
+        for row, (view, scene, positions) in enumerate(zip(self._views, self._scenes, self._positions, strict=True)):
+            end, corners = begin + len(positions), len(scene.corner_rows)
+            pixels = view.camera.project(positions, size)
+            visible = (np.abs(pixels - 0.5 * (size - 1)) <= 0.5 * size).all(axis=1)
+            visible &= self._results["visible"][begin:end] == 1
+            begin = end
             yield Picture(
                 rgb=self._results["rgb"][row],
-                intrinsics=view.camera.intrinsics(self._size),
+                intrinsics=view.camera.intrinsics(size),
                 extrinsics=view.camera.extrinsics(),
                 maps={name: self._results[name][row] for name in self._maps},
-                panel_corners=points.panel_corners,
-                corner_pixels=points.pixels[:corners],
+                panel_corners=scene.panel_corners,
+                corner_pixels=pixels[:corners],
                 corner_visible=visible[:corners],
-                landmark_names=points.landmark_names,
-                landmark_pixels=points.pixels[corners:],
+                landmark_names=tuple(scene.landmarks),
+                landmark_pixels=pixels[corners:],
                 landmark_visible=visible[corners:],
             )
 
     def _stage_views(self, materials: Materials) -> dict[str, tuple[np.ndarray, Any]]:
         """What the kernels read besides scenes, in staging memory, with Warp types."""
-        positions = np.concatenate([points.positions for points in self._points])
-        owner = np.repeat(np.arange(len(self._points)), [len(points.positions) for points in self._points])
-        given: dict[str, tuple[np.ndarray, Any, Any]] = {
+        positions = np.concatenate(self._positions)
+        owner = np.repeat(np.arange(len(self._positions)), list(map(len, self._positions)))
+        given = {
             "shots": (materials.shots, materials.shots.dtype, Shot),
             "cloths": (materials.cloths, materials.cloths.dtype, ClothRow),
             "cloth_of_panel": (materials.cloth_of_panel, np.int32, wp.int32),
@@ -206,10 +180,9 @@ class PendingPictures:
             "owner": (owner, np.int32, wp.int32),
             "positions": (positions, np.float32, wp.vec3),
         }
-        staged = (
-            (name, staged_values(self._staging, values, kind), dtype) for name, (values, kind, dtype) in given.items()
-        )
-        return {name: (values, dtype) for name, values, dtype in staged}
+        return {
+            name: (staged_values(self._staging, values, kind), dtype) for name, (values, kind, dtype) in given.items()
+        }
 
     def _launch(
         self, up: Uploaded, materials: Materials, inputs: dict[str, tuple[np.ndarray, Any]], device: str
@@ -230,6 +203,12 @@ class PendingPictures:
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers
+
+
+def _marked_points(scene: Scene) -> Float[np.ndarray, "n 3"]:
+    """Panel corners, then landmarks [cm]."""
+    corners = scene.vertices[scene.uv_vertex[scene.corner_rows]]
+    return np.concatenate([corners, np.array(list(scene.landmarks.values())).reshape(-1, 3)])
 
 
 def _check(scenes: Sequence[Scene], views: Sequence[View], size: int, maps: Sequence[MapName]) -> None:
