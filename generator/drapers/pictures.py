@@ -11,7 +11,7 @@ from gcd_dataset.generator.render.plain import SIDES, start_plain
 from gcd_dataset.generator.views import RenderedView, finished_view, requested_scene, requested_views
 from gcd_dataset.records import Drape
 
-PIXELS = 16 * 512**2  # pixels of one rendering: 8 garments in two views fill an H200 and take half a GB of its memory
+PIXELS = 16 * 512**2  # pixels of one rendering: 8 garments in two views, 0.2 GB of hits
 MAX_IN_FLIGHT = 2  # renderings: one runs while the next is prepared
 
 

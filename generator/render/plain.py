@@ -1,6 +1,7 @@
 """Plain pictures, as data sets store them: front and back in flat panel colours on paper."""
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -20,7 +21,7 @@ SIDES = ("front", "back")
 SKIN: RGB = (0.80, 0.76, 0.72)
 WRONG_SIDE = 0.55  # brightness of the wrong side of cloth, relative to the right side
 CLOTHS = tuple(ClothLook(Print(colours=(colour,) * 4), wrong_side=WRONG_SIDE) for colour in PALETTE)
-PAGE: RGB = (PAPER[0] / 255, PAPER[1] / 255, PAPER[2] / 255)
+PAGE = Environment(EnvironmentKind.PLAIN, ((PAPER[0] / 255, PAPER[1] / 255, PAPER[2] / 255),) * 3)
 
 
 def garment_scene(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh, body: Body) -> Scene:
@@ -30,10 +31,8 @@ def garment_scene(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh, body: Body)
 
 def plain_view(scene: Scene, side: str = "front", *, row: int = 0) -> PlainView:
     """A plain view of a scene, which is in ``row`` of the list to be rendered."""
-    look = Appearance(CLOTHS, np.arange(len(scene.panel_names)) % len(CLOTHS), underwear=Underwear(SKIN))
     camera = fixed_camera(scene, side)
-    page = Environment(EnvironmentKind.PLAIN, (PAGE, PAGE, PAGE))
-    return PlainView(row, look, camera, Lights(-camera.rotation[2]), page)
+    return PlainView(row, _look(len(scene.panel_names)), camera, Lights(-camera.rotation[2]), PAGE)
 
 
 def start_plain(
@@ -69,3 +68,8 @@ def render_sample(sample: Sample, body: Body, *, size: int = 512, device: str = 
         raise ConfigError(f"{sample.key} is not draped: make it with stage drape to render it")
     front, back = render_garment(sample.drape.vertices, sample.box_mesh, body, size=size, device=device)
     return jpeg_bytes(front), jpeg_bytes(back)
+
+
+@cache  # views of one look share its cloths on the device
+def _look(panels: int) -> Appearance:
+    return Appearance(CLOTHS, np.arange(panels) % len(CLOTHS), underwear=Underwear(SKIN))
