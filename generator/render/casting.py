@@ -171,7 +171,7 @@ class PendingPictures:
         """What the kernels read besides scenes, in staging memory, with Warp types."""
         positions = np.concatenate(self._positions)
         owner = np.repeat(np.arange(len(self._positions)), list(map(len, self._positions)))
-        given = {
+        given: dict[str, tuple[np.ndarray, Any, Any]] = {
             "shots": (materials.shots, materials.shots.dtype, Shot),
             "cloths": (materials.cloths, materials.cloths.dtype, ClothRow),
             "cloth_of_panel": (materials.cloth_of_panel, np.int32, wp.int32),
