@@ -59,8 +59,9 @@ def test_appearances_are_drawn_from_their_ranges() -> None:
     assert {cloth.look for cloth in cloths} == {"poplin", "jersey"}
     tile = np.zeros((2, 2, 3))
     [tiled] = drawn(1, AppearanceRanges(tiles=(tile,), images=1.0))
-    assert tiled.cloths[0].print.kind is PrintKind.IMAGE
-    assert np.array_equal(tiled.cloths[0].print.image, tile)
+    motif = tiled.cloths[0].print
+    assert motif.kind is PrintKind.IMAGE
+    assert motif.image is not None and np.array_equal(motif.image, tile)
     for fault, ranges in (
         ("give some of 1 to 10", AppearanceRanges(tones=(0,))),
         ("unknown looks tweed: choose from poplin", AppearanceRanges(looks=("tweed",))),
