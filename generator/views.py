@@ -18,7 +18,7 @@ from gcd_dataset.records import View as StoredView
 from gcd_dataset.shards.layout import recipe_hash
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.render import Camera, Cloth, Lights, Picture, View
+    from gcd_dataset.generator.render import Camera, ClothLook, Lights, Picture, View
 
 CONVENTION = (
     "OpenCV: camera axes x right, y down, z forward; x = K (R X + t), X in cm; the centre of the upper left pixel is "
@@ -151,7 +151,7 @@ def _light_facts(lights: "Lights") -> dict[str, Any]:
     }
 
 
-def _cloth_facts(cloth: "Cloth") -> dict[str, Any]:
+def _cloth_facts(cloth: "ClothLook") -> dict[str, Any]:
     return {
         "look": cloth.look,
         "print": cloth.print.kind.name.lower(),

@@ -15,13 +15,12 @@ from jaxtyping import Int, UInt8
 
 from benchmarks.reconstruction.derived import MAPS, pixel_labels
 from gcd_dataset.generator.body import neutral_shape
-from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.generator.render import (
     Appearance,
     AppearanceRanges,
     Camera,
     CameraRanges,
-    Cloth,
+    ClothLook,
     Environment,
     EnvironmentKind,
     EnvironmentRanges,
@@ -38,14 +37,11 @@ from gcd_dataset.generator.render import (
     draw_camera,
     draw_hair,
     draw_view,
-    fixed_camera,
     start_pictures,
 )
 from gcd_dataset.generator.render.pictures import Picture
-from gcd_dataset.generator.render.plain import SKIN, ColouredMesh
-from gcd_dataset.generator.render.plain_batch import PendingRender, start_render
+from gcd_dataset.generator.render.plain import SKIN, plain_view
 from gcd_dataset.generator.views import stored_body, stored_scene
-from gcd_dataset.records import Body
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.tensors import PANEL_LABELS
@@ -100,7 +96,7 @@ HELD_OUT = Ranges(
     environment=EnvironmentRanges(weights=(0.0, 0.0, 1.0, 0.0)),
 )
 """Rooms, checks, tartan and flowers; cameras and lights beyond those of ``TRAINING``."""
-GREY = Cloth(print=Print(colours=((0.6, 0.6, 0.6),) * 4))
+GREY = ClothLook(print=Print(colours=((0.6, 0.6, 0.6),) * 4))
 STUDIO = np.array([-0.45, -0.55, -0.70])  # towards the key light, in camera axes: from above and the left
 AT_ONCE = {"cpu": 2, "cuda": 8}  # garments rendered together
 AHEAD = 2  # batches of a process that wait to be used
@@ -207,16 +203,13 @@ def rendered(share: Share) -> Generator[Rendered]:
 
 
 def views_of(what: Input, seed: int, garment: ShownGarment, row: int, epoch: int) -> tuple[Scene, list[View]]:
-    """The scene of a garment and its front and back view, a function of input, seed, garment and epoch.
-
-    Of ``Input.PLAIN`` only the cameras are those of its pictures.
-    """
+    """The scene of a garment and its front and back view, a function of input, seed, garment and epoch."""
     ranges = HELD_OUT if what is Input.HELD_OUT else TRAINING
     streams = [rng(seed, garment.index, Stage.VIEW, epoch * VIEWS_PER_EPOCH + side) for side in range(SIDES)]
     of_sides = [replace(ranges, camera=_turned(ranges.camera, 180.0 * side)) for side in range(SIDES)]
     scene = garment.scene
     if what is Input.PLAIN:
-        return scene, [_grey_view(scene, fixed_camera(scene, side), row) for side in ("front", "back")]
+        return scene, [plain_view(scene, side, row=row) for side in ("front", "back")]
     if what is Input.GREY:
         cameras = [draw_camera(stream, scene, ranges=r.camera) for stream, r in zip(streams, of_sides, strict=True)]
         return scene, [_grey_view(scene, camera, row) for camera in cameras]
@@ -236,30 +229,22 @@ class _Started:
     what: Input
     positions: Int[np.ndarray, " b"]
     scenes: list[Scene]
-    maps: PendingPictures
-    """The maps, and the pictures unless they are plain."""
-    plain: PendingRender | None
+    pictures: PendingPictures
 
 
 def _start(share: Share, what: Input, garments: Sequence[ShownGarment], epoch: int) -> _Started:
     positions = np.array([garment.position for garment in garments])
-    plain = None
-    if what is Input.PLAIN:
-        coloured = [_coloured(garment.scene, garment.scene.body) for garment in garments]
-        plain = start_render(coloured, ["front", "back"], size=share.size, device=share.device)
     pairs = [views_of(what, share.seed, garment, row, epoch) for row, garment in enumerate(garments)]
     scenes, views = [scene for scene, _ in pairs], [view for _, both in pairs for view in both]
     pending = start_pictures(scenes, views, maps=MAPS, size=share.size, device=share.device)
-    return _Started(what, positions, scenes, pending, plain)
+    return _Started(what, positions, scenes, pending)
 
 
 def _finished(started: _Started) -> Rendered:
-    found = started.maps.pictures()
+    found = started.pictures.pictures()
     scenes = [scene for scene in started.scenes for _ in range(SIDES)]
     labels = [_labels(picture, scene) for picture, scene in zip(found, scenes, strict=True)]
     pictures = [picture.rgb for picture in found]
-    if started.plain is not None:
-        pictures = [side for both in started.plain.pictures() for side in both]
     shape = (len(started.positions), SIDES)
     return Rendered(
         started.what,
@@ -273,12 +258,6 @@ def _labels(picture: Picture, scene: Scene) -> UInt8[np.ndarray, "h w"]:
     """``pixel_labels`` of a picture."""
     rows = [PANEL_LABELS.index(name) if name in PANEL_LABELS else 0 for name in scene.panel_labels]
     return pixel_labels(picture.maps, rows)
-
-
-def _coloured(scene: Scene, body: Body) -> tuple[ColouredMesh, ColouredMesh]:
-    """A scene of the plain renderer, as ``garment_scene`` makes it from a box mesh."""
-    skin = ColouredMesh(body.vertices, body.faces, np.broadcast_to(0, len(body.faces)), np.array([SKIN]))
-    return skin, ColouredMesh(scene.vertices, scene.faces, scene.panel_id % len(PALETTE), np.array(PALETTE))
 
 
 def _grey_view(scene: Scene, camera: Camera, row: int) -> View:

@@ -50,7 +50,7 @@ from gcd_dataset.generator.render import (
     render_view,
     scene_of_sample,
 )
-from gcd_dataset.generator.render.plain import SKIN, ColouredMesh
+from gcd_dataset.generator.render.scene import figure_scene
 from gcd_dataset.measurements import MEASURE
 from gcd_dataset.records import Body, BodyPart, BodyShape, BoxMesh, Sample
 from gcd_dataset.seeding import Stage, rng
@@ -197,8 +197,7 @@ PICTURES: Mapping[str, Callable[[], Picture]] = {
 
 
 def _body_picture(body: Body, size: int = TILE) -> Picture:
-    skin = ColouredMesh(body.vertices, body.faces, np.zeros(len(body.faces), int), np.array([SKIN]))
-    return render_view((skin,), size=size, device="cpu")
+    return render_view(figure_scene(body), size=size, device="cpu")
 
 
 def _row(pictures: Sequence[Picture], gap: int = 6) -> Picture:

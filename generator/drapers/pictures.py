@@ -6,15 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
-from gcd_dataset.generator.render import PendingPictures, garment_scene, start_pictures
-from gcd_dataset.generator.render import View as DrawnView
-from gcd_dataset.generator.render.plain_batch import PendingRender, View, start_render
-from gcd_dataset.generator.render.scene import Scene
+from gcd_dataset.generator.render import PendingPictures, Scene, View, garment_scene, start_pictures
+from gcd_dataset.generator.render.plain import SIDES, start_plain
 from gcd_dataset.generator.views import RenderedView, finished_view, requested_scene, requested_views
 from gcd_dataset.records import Drape
 
-PIXELS = 16 * 512**2  # pixels of one rendering: 8 garments in two views fill an H200 and take half a GB of its memory
-SIDES: tuple[View, View] = ("front", "back")
+PIXELS = 16 * 512**2  # pixels of one rendering: 8 garments in two views, 0.2 GB of hits
 MAX_IN_FLIGHT = 2  # renderings: one runs while the next is prepared
 
 
@@ -83,12 +80,12 @@ class _Renderings:
 
     def __init__(self, batch: Sequence[_PendingRequest], device: str) -> None:
         self._batch = batch
-        self._plain: PendingRender | None = None
+        self._plain: PendingPictures | None = None
         if size := batch[0].request.picture:
             scenes = [garment_scene(p.drape.vertices, p.request.job.box_mesh, p.request.job.body) for p in batch]
-            self._plain = start_render(scenes, SIDES, size=size, device=device)
+            self._plain = start_plain(scenes, size=size, device=device)
         self._scenes: list[Scene] = []
-        self._views: list[list[DrawnView]] = [[] for _ in batch]
+        self._views: list[list[View]] = [[] for _ in batch]
         self._drawn: PendingPictures | None = None
         if batch[0].request.views is not None:
             self._start_views(batch[0].request.views.size, device)
@@ -99,7 +96,10 @@ class _Renderings:
 
     def pictures(self) -> list[Any]:
         """Front and back of each garment; ``None`` where they were not asked for."""
-        return [None] * len(self._batch) if self._plain is None else self._plain.pictures()
+        if self._plain is None:
+            return [None] * len(self._batch)
+        pictures = [picture.rgb for picture in self._plain.pictures()]
+        return list(zip(pictures[::2], pictures[1::2], strict=True))
 
     def views(self) -> list[tuple[RenderedView, ...]]:
         """The drawn views of each garment. Call once."""

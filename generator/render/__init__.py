@@ -1,9 +1,9 @@
 """Pictures of garments on bodies, by ray casting in Warp: no display, no OpenGL, the same code on a CPU and a GPU.
 
-Two renderers:
+Two looks:
 
-- the plain one (``plain``): front and back in flat panel colours, as stored in data sets;
-- the one for training (``render``): cloth with prints and weaves, people, light, places and cameras, drawn by
+- plain (``render_garment``): front and back in flat panel colours, as stored in data sets;
+- for training (``render``): cloth with prints and weaves, people, light, places and cameras, drawn by
   ``draw_*`` functions from a random stream, with truths for every pixel.
 
 ::
@@ -17,7 +17,7 @@ Two renderers:
 Virtual depth cameras (``scan``) measure partial point clouds of the same scenes; ``sketch`` draws them
 in lines.
 
-Records (``scene``, ``appearance``, ``lights``, ``environment``, ``cameras``, ``pictures``) need NumPy alone. Names are
+Records (``scene``, ``appearance``, ``environment``, ``cameras``, ``pictures``) need NumPy alone. Names are
 imported on first use: Warp is loaded by the functions that render.
 """
 
@@ -28,7 +28,7 @@ from gcd_dataset.lazy import lazy_names
 if TYPE_CHECKING:
     from gcd_dataset.generator.render.appearance import (
         Appearance,
-        Cloth,
+        ClothLook,
         Hair,
         Print,
         PrintKind,
@@ -40,24 +40,19 @@ if TYPE_CHECKING:
     )
     from gcd_dataset.generator.render.cameras import Camera, CameraRanges, draw_camera, fixed_camera, look_at
     from gcd_dataset.generator.render.casting import PendingPictures, render, start_pictures
-    from gcd_dataset.generator.render.draw import Ranges, draw_hair, draw_view, draw_views
     from gcd_dataset.generator.render.environment import (
         Environment,
         EnvironmentKind,
         EnvironmentRanges,
+        LightRanges,
+        Lights,
         draw_environment,
+        draw_lights,
     )
     from gcd_dataset.generator.render.images import read_picture
-    from gcd_dataset.generator.render.lights import LightRanges, Lights, draw_lights
     from gcd_dataset.generator.render.materials import AppearanceRanges, draw_appearance
-    from gcd_dataset.generator.render.pictures import MAPS, Picture, View
-    from gcd_dataset.generator.render.plain import (
-        ColouredMesh,
-        garment_scene,
-        render_garment,
-        render_sample,
-        render_view,
-    )
+    from gcd_dataset.generator.render.pictures import MAPS, Picture, Ranges, View, draw_hair, draw_view, draw_views
+    from gcd_dataset.generator.render.plain import garment_scene, render_garment, render_sample, render_view
     from gcd_dataset.generator.render.scans import (
         KINECT,
         NOISELESS,
@@ -81,8 +76,7 @@ __all__ = [
     "AppearanceRanges",
     "Camera",
     "CameraRanges",
-    "Cloth",
-    "ColouredMesh",
+    "ClothLook",
     "DepthNoise",
     "Environment",
     "EnvironmentKind",
@@ -145,7 +139,7 @@ _NAMES_OF_MODULE = {
     ),
     "appearance": (
         "Appearance",
-        "Cloth",
+        "ClothLook",
         "Hair",
         "Print",
         "PrintKind",
@@ -157,13 +151,19 @@ _NAMES_OF_MODULE = {
     ),
     "cameras": ("Camera", "CameraRanges", "draw_camera", "fixed_camera", "look_at"),
     "casting": ("PendingPictures", "render", "start_pictures"),
-    "draw": ("Ranges", "draw_hair", "draw_view", "draw_views"),
     "materials": ("AppearanceRanges", "draw_appearance"),
-    "environment": ("Environment", "EnvironmentKind", "EnvironmentRanges", "draw_environment"),
+    "environment": (
+        "Environment",
+        "EnvironmentKind",
+        "EnvironmentRanges",
+        "LightRanges",
+        "Lights",
+        "draw_environment",
+        "draw_lights",
+    ),
     "images": ("read_picture",),
-    "lights": ("LightRanges", "Lights", "draw_lights"),
-    "pictures": ("MAPS", "Picture", "View"),
-    "plain": ("ColouredMesh", "garment_scene", "render_garment", "render_sample", "render_view"),
+    "pictures": ("MAPS", "Picture", "Ranges", "View", "draw_hair", "draw_view", "draw_views"),
+    "plain": ("garment_scene", "render_garment", "render_sample", "render_view"),
     "scene": ("HairStyle", "Scene", "scene_of", "scene_of_sample"),
 }
 

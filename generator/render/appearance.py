@@ -106,7 +106,7 @@ class Stitching:
 
 
 @dataclass(frozen=True, eq=False)
-class Cloth(Record):
+class ClothLook(Record):
     """The cloth of a garment or of a part of it."""
 
     print: Print = field(default_factory=Print)
@@ -153,7 +153,7 @@ class Hair:
 class Appearance(Record):
     """All materials of a scene."""
 
-    cloths: tuple[Cloth, ...]
+    cloths: tuple[ClothLook, ...]
     cloth_of_panel: Int[np.ndarray, " p"]
     """Row of ``cloths`` for each panel."""
     skin: Skin = field(default_factory=Skin)

@@ -11,8 +11,8 @@ from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.records import Record
 
 FILM = 24.0  # mm; height of a frame of 35 mm film, for which focal lengths are stated
-FIXED_DISTANCE = 520.0  # cm; as ``plain_batch.DISTANCE``
-FIXED_MARGIN = 1.04  # as ``plain_batch.MARGIN``
+FIXED_DISTANCE = 520.0  # cm from a fixed camera to the centre of the scene
+FIXED_MARGIN = 1.04  # width of its field of view over the larger side of the box round the scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,16 +112,16 @@ def draw_camera(rng: np.random.Generator, scene: Scene, *, ranges: CameraRanges 
 
 
 def fixed_camera(scene: Scene, side: str = "front") -> Camera:
-    """The camera of the plain renderer's ``front`` or ``back`` view. Raises ``ConfigError`` for another side."""
+    """The camera of the plain ``front`` or ``back`` picture. Raises ``ConfigError`` for another side."""
     if side not in ("front", "back"):
         raise ConfigError(f"a fixed camera at {side!r}: choose front or back")
     low, high = scene.bounds()
-    half = FIXED_MARGIN * 0.5 * float(max(high[0] - low[0], high[1] - low[1]))
-    focal = (FIXED_DISTANCE - 0.5 * float(high[2] - low[2])) / half
+    width = FIXED_MARGIN * float(max(high[0] - low[0], high[1] - low[1]))
+    # The nearest side of the box needs the widest angle.
+    focal = (FIXED_DISTANCE - 0.5 * float(high[2] - low[2])) / width
     middle = 0.5 * (low + high)
     facing = 1.0 if side == "front" else -1.0
-    # The plain renderer states focal lengths in half picture widths.
-    return look_at(middle + [0.0, 0.0, facing * FIXED_DISTANCE], middle, focal=0.5 * focal)
+    return look_at(middle + [0.0, 0.0, facing * FIXED_DISTANCE], middle, focal=focal)
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers

@@ -2,54 +2,33 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from functools import cache
 from typing import Any, get_args
 
 import numpy as np
 import warp as wp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.drape.device import keep_some_memory, launch_lock
-from gcd_dataset.generator.render import plain_kernels
-from gcd_dataset.generator.render.cameras import Camera
+from gcd_dataset.generator.render.environment import EnvironmentKind
 from gcd_dataset.generator.render.geometry import solid_of
+from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import cast, prepare, truths
-from gcd_dataset.generator.render.kernels.records import Cloth, Shot
+from gcd_dataset.generator.render.kernels.records import ClothRow, Shot
 from gcd_dataset.generator.render.packing import Materials, pack_views
 from gcd_dataset.generator.render.pictures import BACKGROUND, MapName, Picture, View
-from gcd_dataset.generator.render.plain_batch import thresholds
 from gcd_dataset.generator.render.scene import Scene
-from gcd_dataset.generator.render.staging import StagingBuffers, staged_values, to_device, wrapped
-from gcd_dataset.generator.render.uploading import Uploaded, stage, upload
-from gcd_dataset.records import Record
-
-
-@dataclass(frozen=True, eq=False)
-class Points(Record):
-    """Panel corners, then landmarks, as one camera sees them."""
-
-    positions: Float[np.ndarray, "n 3"]
-    """[cm]"""
-    pixels: Float[np.ndarray, "n 2"]
-    """Column and row; NaN behind the camera."""
-    in_picture: Bool[np.ndarray, " n"]
-    corners: int
-    """Number of panel corners."""
-    panel_corners: Int[np.ndarray, "k 2"]
-    landmark_names: tuple[str, ...]
-
-
-def points_of(scene: Scene, camera: Camera, size: int) -> Points:
-    """The points of a scene in a picture of ``size`` pixels."""
-    corners = scene.vertices[scene.uv_vertex[scene.corner_rows]]
-    marks = np.array(list(scene.landmarks.values())).reshape(-1, 3)
-    positions = np.concatenate([corners, marks])
-    pixels = camera.project(positions, size)
-    inside = np.asarray((np.abs(pixels - 0.5 * (size - 1)) <= 0.5 * size).all(axis=1))
-    return Points(positions, pixels, inside, len(corners), scene.panel_corners, tuple(scene.landmarks))
-
+from gcd_dataset.generator.render.uploading import (
+    StagingBuffers,
+    Uploaded,
+    stage,
+    staged_values,
+    to_device,
+    upload,
+    wrapped,
+)
 
 SIDE = 2  # rays along each side of a pixel
 POLL = 2e-4  # s between two looks at a GPU
@@ -104,7 +83,7 @@ def start_pictures(
     """
     _check(scenes, views, size, maps)
     device = resolve_device(device)
-    load_kernels("renderer", plain_kernels, prepare, cast, truths, device=device)
+    load_kernels("renderer", prepare, cast, truths, device=device)
     keep_some_memory(device)
     return PendingPictures(scenes, views, size, maps, device)
 
@@ -122,7 +101,8 @@ class PendingPictures:
     ) -> None:
         self._views, self._size, self._maps = views, size, tuple(maps)
         self._staging = StagingBuffers(device)
-        self._points: list[Points] = [points_of(scenes[view.scene], view.camera, size) for view in views]
+        self._scenes = [scenes[view.scene] for view in views]
+        self._positions = [_marked_points(scene) for scene in self._scenes]
         self._results: dict[str, np.ndarray] = {}
         self._rendered: wp.Event | None = None
         self._kept: object = None
@@ -167,49 +147,49 @@ class PendingPictures:
         self._staging.release()
 
     def _finished(self) -> Iterator[Picture]:
-        begin = 0
-        for row, (view, points) in enumerate(zip(self._views, self._points, strict=True)):
-            end = begin + len(points.positions)
-            visible = points.in_picture & (self._results["visible"][begin:end] == 1)
-            begin, corners = end, points.corners
+        size, begin = self._size, 0
+        for row, (view, scene, positions) in enumerate(zip(self._views, self._scenes, self._positions, strict=True)):
+            end, corners = begin + len(positions), len(scene.corner_rows)
+            pixels = view.camera.project(positions, size)
+            visible = (np.abs(pixels - 0.5 * (size - 1)) <= 0.5 * size).all(axis=1)
+            visible &= self._results["visible"][begin:end] == 1
+            begin = end
             yield Picture(
                 rgb=self._results["rgb"][row],
-                intrinsics=view.camera.intrinsics(self._size),
+                intrinsics=view.camera.intrinsics(size),
                 extrinsics=view.camera.extrinsics(),
                 maps={name: self._results[name][row] for name in self._maps},
-                panel_corners=points.panel_corners,
-                corner_pixels=points.pixels[:corners],
+                panel_corners=scene.panel_corners,
+                corner_pixels=pixels[:corners],
                 corner_visible=visible[:corners],
-                landmark_names=points.landmark_names,
-                landmark_pixels=points.pixels[corners:],
+                landmark_names=tuple(scene.landmarks),
+                landmark_pixels=pixels[corners:],
                 landmark_visible=visible[corners:],
             )
 
     def _stage_views(self, materials: Materials) -> dict[str, tuple[np.ndarray, Any]]:
         """What the kernels read besides scenes, in staging memory, with Warp types."""
-        positions = np.concatenate([points.positions for points in self._points])
-        owner = np.repeat(np.arange(len(self._points)), [len(points.positions) for points in self._points])
+        positions = np.concatenate(self._positions)
+        owner = np.repeat(np.arange(len(self._positions)), list(map(len, self._positions)))
         given: dict[str, tuple[np.ndarray, Any, Any]] = {
             "shots": (materials.shots, materials.shots.dtype, Shot),
-            "cloths": (materials.cloths, materials.cloths.dtype, Cloth),
+            "cloths": (materials.cloths, materials.cloths.dtype, ClothRow),
             "cloth_of_panel": (materials.cloth_of_panel, np.int32, wp.int32),
             "texels": (materials.texels, np.float32, wp.vec3),
             "glow": (materials.glow, np.float32, wp.vec3),
             "owner": (owner, np.int32, wp.int32),
             "positions": (positions, np.float32, wp.vec3),
         }
-        staged = (
-            (name, staged_values(self._staging, values, kind), dtype) for name, (values, kind, dtype) in given.items()
-        )
-        return {name: (values, dtype) for name, values, dtype in staged}
+        return {
+            name: (staged_values(self._staging, values, kind), dtype) for name, (values, kind, dtype) in given.items()
+        }
 
     def _launch(
         self, up: Uploaded, materials: Materials, inputs: dict[str, tuple[np.ndarray, Any]], device: str
     ) -> list[wp.array]:
         """Launch all passes and the copies of their results; returns the arrays that these read."""
         given = {name: to_device(values, dtype, device) for name, (values, dtype) in inputs.items()}
-        sheer = np.unique(materials.shots["scene"][materials.shots["sheer"] == 1]).tolist()
-        outputs = {"rgb": _shade(up, given, sheer, self._size, device)}
+        outputs = {"rgb": _shade(up, materials, given, self._size, device)}
         outputs |= _truths(up, given["shots"], self._maps, self._size, device)
         seen = [up.scenes, given["shots"], given["owner"], given["positions"]]
         outputs["visible"] = wp.zeros(len(given["owner"]), dtype=wp.uint8, device=device)
@@ -223,6 +203,12 @@ class PendingPictures:
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers
+
+
+def _marked_points(scene: Scene) -> Float[np.ndarray, "n 3"]:
+    """Panel corners, then landmarks [cm]."""
+    corners = scene.vertices[scene.uv_vertex[scene.corner_rows]]
+    return np.concatenate([corners, np.array(list(scene.landmarks.values())).reshape(-1, 3)])
 
 
 def _check(scenes: Sequence[Scene], views: Sequence[View], size: int, maps: Sequence[MapName]) -> None:
@@ -251,28 +237,41 @@ def _batches(views: Sequence[View], size: int) -> Iterator[list[int]]:
         yield batch
 
 
-def _shade(up: Uploaded, given: dict[str, wp.array], sheer: Sequence[int], size: int, device: str) -> wp.array:
-    """The pictures (shot, h, w, 3); ``sheer`` are the scenes with sheer cloth."""
-    shots = given["shots"]
+def _shade(up: Uploaded, materials: Materials, given: dict[str, wp.array], size: int, device: str) -> wp.array:
+    """The pictures (shot, h, w, 3)."""
+    shots, plain = given["shots"], materials.shots["plain"] == 1
     rays = (len(shots), size, size, SIDE**2)
     hit_face, hit_uv = wp.empty(rays, dtype=int, device=device), wp.empty(rays, dtype=wp.vec2, device=device)
     sides = (2, up.first_vertex[-1])
     seen, sky = wp.full(sides, -1, dtype=int, device=device), wp.full(sides, 1.0, dtype=float, device=device)
-    for number in sheer:
+    for number in np.unique(materials.shots["scene"][materials.shots["sheer"] == 1]).tolist():
         # What lies behind sheer cloth is not among the first hits: all of the scene counts as seen.
         for row in (seen[0], seen[1]):
             row[up.first_vertex[number] : up.first_vertex[number + 1]].fill_(number)
-    cells = (len(up.meshes), prepare.FLOOR_CELLS, prepare.FLOOR_CELLS)
-    floor = wp.empty(cells, dtype=float, device=device)
-    picture = wp.empty((*rays[:3], 3), dtype=wp.uint8, device=device)
+    picture, least = wp.empty((*rays[:3], 3), dtype=wp.uint8, device=device), _thresholds(device)
     inputs = [up.scenes, shots, SIDE]
     wp.launch(cast.cast_rays, rays, inputs=inputs, outputs=[hit_face, hit_uv, seen], device=device)
     wp.launch(prepare.sky_visibility, sides, inputs=[up.scenes, seen], outputs=[sky], device=device)
-    wp.launch(prepare.floor_visibility, cells, inputs=[up.scenes, up.middle], outputs=[floor], device=device)
-    materials = [given[name] for name in ("cloth_of_panel", "cloths", "texels", "glow")]
-    inputs = [up.scenes, shots, *materials, up.middle, sky, floor, SIDE, hit_face, hit_uv, thresholds(device)]
-    wp.launch(cast.shade_pixels, rays[:3], inputs=inputs, outputs=[picture], device=device)
+    cloth_of_panel, cloths, texels, glow = (given[name] for name in ("cloth_of_panel", "cloths", "texels", "glow"))
+    if plain.any():
+        inputs = [up.scenes, shots, cloth_of_panel, cloths, sky, SIDE, hit_face, hit_uv, least]
+        wp.launch(cast.shade_plain, rays[:3], inputs=inputs, outputs=[picture], device=device)
+    if not plain.all():
+        cells = (len(up.meshes), prepare.FLOOR_CELLS, prepare.FLOOR_CELLS)
+        floor = wp.empty(cells, dtype=float, device=device)
+        if np.isin(materials.shots["place"], (EnvironmentKind.SWEEP, EnvironmentKind.ROOM)).any():
+            wp.launch(prepare.floor_visibility, cells, inputs=[up.scenes, up.middle], outputs=[floor], device=device)
+        inputs = [up.scenes, shots, cloth_of_panel, cloths, texels, glow, up.middle, sky, floor, SIDE]
+        inputs += [hit_face, hit_uv, least]
+        wp.launch(cast.shade_pixels, rays[:3], inputs=inputs, outputs=[picture], device=device)
     return picture
+
+
+@cache
+def _thresholds(device: str) -> wp.array:
+    """The smallest linear value of each sRGB byte from 1 to 255."""
+    least = linear_light((np.arange(cast.LEVELS) + 0.5) / cast.LEVELS)
+    return wp.array(least.astype(np.float32), dtype=float, device=device)
 
 
 def _truths(up: Uploaded, shots: wp.array, maps: Sequence[MapName], size: int, device: str) -> dict[str, wp.array]:
@@ -283,7 +282,7 @@ def _truths(up: Uploaded, shots: wp.array, maps: Sequence[MapName], size: int, d
     arrays: dict[str, wp.array] = {}
     for name, (kind, channels, background) in MAP_TYPES.items():
         asked = name in maps
-        setattr(wanted, FLAGS.get(name, name), int(asked))
+        setattr(wanted, name, int(asked))
         pixels = (len(shots), size, size) if asked else (1, 1, 1)
         shape = (*pixels, channels) if channels else pixels
         arrays[name] = wp.full(shape, WARP_TYPES[kind](background), dtype=WARP_TYPES[kind], device=device)
@@ -291,6 +290,3 @@ def _truths(up: Uploaded, shots: wp.array, maps: Sequence[MapName], size: int, d
     inputs = [up.scenes, shots, wanted, size]
     wp.launch(truths.see_centres, rays, inputs=inputs, outputs=list(arrays.values()), device=device)
     return {name: arrays[name] for name in maps}
-
-
-FLAGS = {"panel_id": "panel"}  # fields of ``Wanted`` with another name than their map

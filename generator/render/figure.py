@@ -73,9 +73,7 @@ class Eyes(Shell):
 
 def body_masks(body: Body) -> BodyMasks:
     """The masks of a body; those of the body model are found once, on the neutral body, and kept by vertex."""
-    if len(body.parts) == _model_vertices():
-        return _model_masks()
-    return _masks_of(body)
+    return _model_masks() if len(body.parts) == len(_model_body().parts) else _masks_of(body)
 
 
 def hair_shell(scene: Scene) -> Shell:
@@ -84,10 +82,10 @@ def hair_shell(scene: Scene) -> Shell:
     Cloth on the head, such as a hood, presses the hair down: hair rises to ``UNDER_CLOTH`` below the next cloth.
     """
     body, style = scene.body, scene.hair
-    plan = _model_hair(style) if len(body.parts) == _model_vertices() else _hair_plan(body, style)
+    plan = _model_hair(style) if len(body.parts) == len(_model_body().parts) else _hair_plan(body, style)
     points = body.vertices[plan.rows]
     rise = np.minimum(plan.rise, _room_under_cloth(points, plan.faces, scene, HAIR_DEPTH[style]))
-    return Shell(points + rise[:, None] * _vertex_normals(points, plan.faces), plan.faces)
+    return Shell(points + rise[:, None] * vertex_normals(points, plan.faces), plan.faces)
 
 
 def eyeballs(body: Body) -> Eyes:
@@ -108,21 +106,33 @@ def eyeballs(body: Body) -> Eyes:
     return Eyes(vertices, np.concatenate([faces, faces + len(ball)]), centres, radius)
 
 
+def vertex_normals(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Float[np.ndarray, "n 3"]:
+    """Unit vertex normals: face normals weighted by area."""
+    a, b, c = vertices.astype(float)[faces].transpose(1, 0, 2)
+    normal = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    corner = faces.ravel()
+    total = np.stack([np.bincount(corner, normal[:, k], minlength=len(vertices)) for k in range(3)], axis=1)
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+
+
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 
 @cache
-def _model_vertices() -> int:
-    from gcd_dataset.generator.body.asset import body_model
+def _model_body() -> Body:
+    from gcd_dataset.generator.body import build_body, neutral_shape
 
-    return len(body_model().parts)
+    return build_body(neutral_shape())
+
+
+@cache
+def _model_masks() -> BodyMasks:
+    return _masks_of(_model_body())
 
 
 @cache
 def _model_hair(style: HairStyle) -> _HairPlan:
-    from gcd_dataset.generator.body import build_body, neutral_shape
-
-    return _hair_plan(build_body(neutral_shape()), style)
+    return _hair_plan(_model_body(), style)
 
 
 def _hair_plan(body: Body, style: HairStyle) -> _HairPlan:
@@ -171,13 +181,6 @@ def _spread(
     steps = max(1, int(np.ceil(longest / SAMPLES)))
     shares = [(i / steps, j / steps) for i in range(steps + 1) for j in range(steps + 1 - i)]
     return np.concatenate([i * a + j * b + (1.0 - i - j) * c for i, j in shares])
-
-
-@cache
-def _model_masks() -> BodyMasks:
-    from gcd_dataset.generator.body import build_body, neutral_shape
-
-    return _masks_of(build_body(neutral_shape()))
 
 
 # In multiples of the eye socket's size on the body model, found by eye in close-ups.
@@ -272,13 +275,3 @@ def _ball() -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]:
             faces += [(a, a + EYE_SECTORS, b), (b, a + EYE_SECTORS, b + EYE_SECTORS)]
         faces.append((last, last - EYE_SECTORS + after, last - EYE_SECTORS + k))
     return points, np.array(faces)
-
-
-def _vertex_normals(points: Float[np.ndarray, "h 3"], faces: Int[np.ndarray, "g 3"]) -> Float[np.ndarray, "h 3"]:
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    flat = np.cross(b - a, c - a)
-    total = np.zeros_like(points)
-    for k in range(3):
-        for axis in range(3):
-            total[:, axis] += np.bincount(faces[:, k], flat[:, axis], minlength=len(points))
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)

@@ -16,7 +16,7 @@ HEM = -2
 
 
 @dataclass(frozen=True, eq=False)
-class Borders(Record):
+class PanelBorders(Record):
     """The segments of the panels' outlines, panel by panel."""
 
     ends: Int[np.ndarray, "b 2"]
@@ -41,9 +41,7 @@ class Solid(Record):
     body_faces: int
     hair_faces: int
     garment_vertices: int
-    borders: Borders
-    panel_of_row: Int[np.ndarray, " c"]
-    """Panel of each row of ``uv``."""
+    borders: PanelBorders
     masks: BodyMasks
     """Of the vertices of the body."""
     eyes: Eyes
@@ -73,24 +71,23 @@ def solid_of(scene: Scene) -> Solid:
         body_faces=len(body.faces),
         hair_faces=len(hair.faces),
         garment_vertices=len(scene.vertices),
-        borders=panel_borders(scene, scene.panel_of_row),
-        panel_of_row=scene.panel_of_row,
+        borders=panel_borders(scene),
         masks=body_masks(scene.body),
         eyes=eyes,
     )
 
 
-def panel_borders(scene: Scene, panel_of_row: Int[np.ndarray, " c"]) -> Borders:
+def panel_borders(scene: Scene) -> PanelBorders:
     """The outlines of all panels, found in the mesh, with the seam of each segment."""
     face, k, ends = _border_edges(scene.corners, len(scene.uv))
     seam = _seam_of_edge(scene, scene.uv_vertex[ends])
     bits = np.where(seam == HEM, 8, 1) << k
     flags = np.bincount(face, bits, minlength=len(scene.faces)).astype(np.int32)
-    panel = panel_of_row[ends[:, 0]]
+    panel = scene.panel_of_row[ends[:, 0]]
     order = np.argsort(panel, kind="stable")
     along = _lengths_along(ends, scene.uv, len(scene.uv))
     first = np.searchsorted(panel[order], np.arange(len(scene.panel_names) + 1))
-    return Borders(ends[order], seam[order], along[order], first, flags)
+    return PanelBorders(ends[order], seam[order], along[order], first, flags)
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers

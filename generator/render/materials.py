@@ -3,8 +3,9 @@
 import colorsys
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,16 +15,147 @@ from gcd_dataset.generator.render.appearance import (
     MONK_TONES,
     RGB,
     Appearance,
-    Cloth,
+    ClothLook,
     Hair,
     Print,
     PrintKind,
     Skin,
     Stitching,
     Underwear,
+    Weave,
+    WeaveKind,
 )
-from gcd_dataset.generator.render.looks import LOOKS, Look, looks_of
 from gcd_dataset.generator.render.scene import Scene
+
+P = PrintKind
+WOVEN_PRINTS = (P.STRIPES, P.CHECKS, P.TARTAN, P.DOTS, P.FLORAL, P.NOISE, P.GRADIENT)
+KNIT_PRINTS = (P.STRIPES, P.DOTS, P.FLORAL, P.NOISE, P.GRADIENT)
+
+
+@dataclass(frozen=True)
+class Look:
+    """A kind of cloth. The figures are chosen by eye, in close-ups; no measured reflectance stands behind them."""
+
+    weave: Weave
+    prints: tuple[PrintKind, ...] = WOVEN_PRINTS
+    printed: float = 1.0
+    """Factor of the share of printed cloth."""
+    thickness: tuple[float, float] = (0.04, 0.10)
+    """[cm]"""
+    translucency: tuple[float, float] = (0.0, 0.0)
+    transmission: float = 0.06
+    wrong_side: float = 0.5
+    """How much of a print shows on the wrong side."""
+    top_stitch: float = 0.15
+    """Share of garments with top-stitched seams."""
+    contrast: float = 0.1
+    """Share of garments with thread of another colour."""
+    blue: bool = False
+    """Dyed with indigo, mostly."""
+
+
+LOOKS: Mapping[str, Look] = MappingProxyType(
+    {
+        "poplin": Look(Weave(WeaveKind.PLAIN, 0.04, 0.2, 0.75, 0.035, 0.06, 0.02, 0.22), printed=1.2),
+        "linen": Look(Weave(WeaveKind.PLAIN, 0.09, 0.4, 0.85, 0.03, 0.08, 0.12, 0.4), printed=0.6),
+        "voile": Look(
+            Weave(WeaveKind.PLAIN, 0.05, 0.2, 0.8, 0.03, 0.10, 0.03, 0.2),
+            translucency=(0.25, 0.6),
+            transmission=0.25,
+            thickness=(0.02, 0.03),
+            wrong_side=0.9,
+        ),
+        "denim": Look(
+            Weave(WeaveKind.TWILL, 0.11, 0.5, 0.9, 0.025, 0.06, 0.22, 0.3),
+            prints=(P.NOISE, P.GRADIENT),
+            printed=0.2,
+            thickness=(0.09, 0.13),
+            wrong_side=0.15,
+            transmission=0.0,
+            top_stitch=0.9,
+            contrast=0.7,
+            blue=True,
+        ),
+        "drill": Look(
+            Weave(WeaveKind.TWILL, 0.08, 0.35, 0.82, 0.03, 0.05, 0.05, 0.25),
+            prints=(P.NOISE, P.CHECKS, P.STRIPES),
+            printed=0.5,
+            top_stitch=0.6,
+            contrast=0.2,
+            transmission=0.02,
+        ),
+        "gabardine": Look(
+            Weave(WeaveKind.TWILL, 0.05, 0.2, 0.7, 0.04, 0.08, 0.02, 0.12),
+            prints=(P.STRIPES, P.CHECKS, P.TARTAN),
+            printed=0.6,
+            transmission=0.02,
+        ),
+        "satin": Look(Weave(WeaveKind.SATIN, 0.03, 0.15, 0.38, 0.10, 0.10, 0.0, 0.12), printed=0.7, wrong_side=0.3),
+        "crepe": Look(Weave(WeaveKind.CREPE, 0.06, 0.3, 0.8, 0.03, 0.12, 0.02, 0.12)),
+        "jersey": Look(Weave(WeaveKind.JERSEY, 0.08, 0.35, 0.88, 0.025, 0.12, 0.05, 0.12), prints=KNIT_PRINTS),
+        "melange": Look(
+            Weave(WeaveKind.JERSEY, 0.08, 0.35, 0.9, 0.02, 0.14, 0.16, 0.12), prints=KNIT_PRINTS, printed=0.3
+        ),
+        "rib": Look(
+            Weave(WeaveKind.RIB, 0.35, 0.5, 0.9, 0.02, 0.14, 0.05, 0.05),
+            prints=(P.STRIPES,),
+            printed=0.4,
+            thickness=(0.1, 0.2),
+        ),
+        "ponte": Look(
+            Weave(WeaveKind.JERSEY, 0.06, 0.2, 0.8, 0.03, 0.10, 0.02, 0.08),
+            prints=(P.STRIPES, P.CHECKS, P.TARTAN, P.DOTS),
+            printed=0.7,
+            thickness=(0.08, 0.12),
+        ),
+        "flannel": Look(
+            Weave(WeaveKind.FELT, 0.15, 0.25, 0.95, 0.015, 0.22, 0.12, 0.15),
+            prints=(P.TARTAN, P.CHECKS, P.STRIPES),
+            printed=1.4,
+            thickness=(0.08, 0.15),
+            transmission=0.02,
+        ),
+        "corduroy": Look(
+            Weave(WeaveKind.CORDUROY, 0.30, 0.7, 0.92, 0.02, 0.30, 0.08, 0.12),
+            prints=(),
+            printed=0.0,
+            thickness=(0.1, 0.2),
+            transmission=0.0,
+            top_stitch=0.5,
+        ),
+        "velvet": Look(
+            Weave(WeaveKind.FELT, 0.05, 0.1, 0.9, 0.01, 0.55, 0.05, 0.12),
+            prints=(P.FLORAL,),
+            printed=0.2,
+            thickness=(0.1, 0.2),
+            transmission=0.0,
+        ),
+    }
+)
+"""Kinds of cloth by name."""
+
+LOOKS_OF_FABRIC: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "cotton": ("poplin", "linen", "voile"),
+        "denim": ("denim",),
+        "drill": ("drill", "corduroy"),
+        "polyester_woven": ("gabardine", "crepe", "poplin"),
+        "polyester_light": ("satin", "voile", "crepe"),
+        "interlock": ("jersey", "melange", "rib"),
+        "ponte_roma": ("ponte",),
+        "wool_light": ("flannel", "gabardine"),
+        "gcd_soft": ("jersey", "satin", "voile", "crepe"),
+        "gcd_medium": ("poplin", "linen", "drill", "flannel"),
+        "gcd_stiff": ("denim", "drill", "corduroy", "gabardine"),
+    }
+)
+"""Kinds of cloth that hang like a fabric of the drape; a fabric that is not listed may be any of them."""
+
+
+def looks_of(fabric: str | None) -> tuple[str, ...]:
+    """Names of the kinds of cloth that a fabric may be."""
+    return LOOKS_OF_FABRIC.get(fabric or "", tuple(LOOKS))
+
 
 NEUTRALS: tuple[RGB, ...] = (
     (0.95, 0.95, 0.94), (0.93, 0.91, 0.86), (0.86, 0.80, 0.70), (0.72, 0.66, 0.58), (0.62, 0.62, 0.63),
@@ -79,14 +211,6 @@ def draw_print_colours(rng: np.random.Generator) -> tuple[RGB, RGB, RGB, RGB]:
     return ground, first, second, third
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
-def _contrast(one: RGB, other: RGB) -> float:
-    pair: Sequence[float] = sorted((luminance(one) + 0.05, luminance(other) + 0.05))
-    return pair[1] / pair[0]
-
-
 @dataclass(frozen=True)
 class AppearanceRanges:
     """What appearances are drawn from; hold out prints or looks for a test by leaving them out."""
@@ -119,7 +243,7 @@ def draw_appearance(
     _check(ranges, names)
     skin, hair, eyes, underwear = _draw_figure(rng, ranges)
     garment, part = parts_of(scene)
-    cloths: list[Cloth] = []
+    cloths: list[ClothLook] = []
     cloth_of_panel = np.zeros(len(scene.panel_names), int)
     for number in range(int(garment.max(initial=-1)) + 1):
         own = garment == number
@@ -131,7 +255,7 @@ def draw_appearance(
         if second and of_part.any() and not of_part[own].all():
             cloth_of_panel[of_part] = len(cloths)
             cloths.append(other)
-    return Appearance(tuple(cloths) or (Cloth(),), cloth_of_panel, skin, underwear, hair, eyes)
+    return Appearance(tuple(cloths) or (ClothLook(),), cloth_of_panel, skin, underwear, hair, eyes)
 
 
 def parts_of(scene: Scene) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
@@ -150,7 +274,8 @@ def parts_of(scene: Scene) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]
         if (garment == before).all():
             break
     _, garment = np.unique(garment, return_inverse=True)
-    return garment.reshape(-1), np.array([_part(name) for name in scene.panel_names], int)
+    parts = [next((part for part, words in NAMES_OF_PARTS if words.search(name)), UPPER) for name in scene.panel_names]
+    return garment.reshape(-1), np.array(parts, int)
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers
@@ -178,6 +303,8 @@ PERIODS = {
     PrintKind.IMAGE: (6.0, 40.0),
 }
 """Ranges of ``Print.period`` [cm]."""
+FILLS = {PrintKind.DOTS: (0.2, 0.65), PrintKind.FLORAL: (0.5, 0.95)}
+"""Ranges of ``Print.fill``, where they are not those of stripes."""
 
 
 def _check(ranges: AppearanceRanges, names: tuple[str, ...]) -> None:
@@ -186,10 +313,6 @@ def _check(ranges: AppearanceRanges, names: tuple[str, ...]) -> None:
         raise ConfigError(f"unknown looks {', '.join(unknown)}: choose from {', '.join(LOOKS)}")
     if not ranges.tones or not all(1 <= tone <= len(MONK_TONES) for tone in ranges.tones):
         raise ConfigError(f"skin tones {ranges.tones}: give some of 1 to {len(MONK_TONES)}")
-
-
-def _part(name: str) -> int:
-    return next((part for part, pattern in NAMES_OF_PARTS if pattern.search(name)), UPPER)
 
 
 def _draw_figure(rng: np.random.Generator, ranges: AppearanceRanges) -> tuple[Skin, Hair, RGB, Underwear]:
@@ -206,11 +329,11 @@ def _draw_figure(rng: np.random.Generator, ranges: AppearanceRanges) -> tuple[Sk
     return skin, Hair(nudged(rng, hair, 0.02)), eyes, Underwear(plain)
 
 
-def _draw_cloth(rng: np.random.Generator, names: tuple[str, ...], ranges: AppearanceRanges) -> Cloth:
+def _draw_cloth(rng: np.random.Generator, names: tuple[str, ...], ranges: AppearanceRanges) -> ClothLook:
     name = names[int(rng.integers(len(names)))]
     look = LOOKS[name]
     motif = _draw_print(rng, look, ranges)
-    return Cloth(
+    return ClothLook(
         print=motif,
         weave=look.weave,
         stitching=_draw_stitching(rng, look, motif),
@@ -239,18 +362,13 @@ def _draw_print(rng: np.random.Generator, look: Look, ranges: AppearanceRanges) 
         kind=kind,
         colours=colours,
         period=math.exp(rng.uniform(*np.log(PERIODS[kind]))),
-        fill=_fill(rng, kind),
+        fill=0.5 if kind is PrintKind.CHECKS else float(rng.uniform(*FILLS.get(kind, (0.15, 0.6)))),
         angle=_angle(rng, kind),
         jitter=float(rng.random()) if rng.random() < 0.5 else 0.0,
         matched=bool(rng.random() < 0.3),
         seed=int(rng.integers(1 << 20)),
         image=image,
     )
-
-
-def _fill(rng: np.random.Generator, kind: PrintKind) -> float:
-    low, high = {PrintKind.DOTS: (0.2, 0.65), PrintKind.FLORAL: (0.5, 0.95)}.get(kind, (0.15, 0.6))
-    return 0.5 if kind is PrintKind.CHECKS else float(rng.uniform(low, high))
 
 
 def _angle(rng: np.random.Generator, kind: PrintKind) -> float:
@@ -274,3 +392,8 @@ def _draw_stitching(rng: np.random.Generator, look: Look, motif: Print) -> Stitc
         seam=float(rng.uniform(0.3, 0.8)) if top else 0.0,
         hem=float(rng.uniform(0.8, 3.0)),
     )
+
+
+def _contrast(one: RGB, other: RGB) -> float:
+    pair: Sequence[float] = sorted((luminance(one) + 0.05, luminance(other) + 0.05))
+    return pair[1] / pair[0]

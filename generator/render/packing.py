@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.render.appearance import RGB, Appearance, Cloth
-from gcd_dataset.generator.render.environment import Environment, EnvironmentKind
+from gcd_dataset.generator.render.appearance import RGB, Appearance, ClothLook
+from gcd_dataset.generator.render.environment import EnvironmentKind
 from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import records
-from gcd_dataset.generator.render.pictures import View
+from gcd_dataset.generator.render.pictures import PlainView, View
 from gcd_dataset.generator.render.scene import Scene
 
-CLOTH: Any = records.Cloth.numpy_dtype()  # type: ignore[attr-defined]
+CLOTH: Any = records.ClothRow.numpy_dtype()  # type: ignore[attr-defined]
 SHOT: Any = records.Shot.numpy_dtype()  # type: ignore[attr-defined]
 # A swatch is the colour of skin as seen, highlights and all: as albedos, tones would be chalk and coal.
 SKIN_GAIN, SKIN_GAMMA = np.array([0.75, 0.65, 0.57]), 0.76
@@ -71,7 +71,7 @@ def pack_views(views: Sequence[View], scenes: Sequence[Scene], rows: dict[int, i
     """
     texels = _Texels()
     shots = np.zeros(len(views), SHOT)
-    cloths: list[Cloth] = []
+    cloths: list[ClothLook] = []
     panels: list[np.ndarray] = []
     known: dict[int, int] = {}
     for view, shot in zip(views, shots, strict=True):
@@ -82,11 +82,8 @@ def pack_views(views: Sequence[View], scenes: Sequence[Scene], rows: dict[int, i
             cloths.extend(look.cloths)
         elif len(look.cloth_of_panel) != len(scene.panel_names):
             _cloth_rows(look, scene)
-        _pack_camera(shot, view)
-        _pack_lights(shot, view)
-        _pack_place(shot, view.environment, texels)
-        _pack_figure(shot, look)
-        shot["scene"] = rows[view.scene]
+        _pack_shot(shot, view, texels)
+        shot["scene"], shot["plain"] = rows[view.scene], int(isinstance(view, PlainView))
         shot["first_panel"] = known[id(look)]
         shot["sheer"] = int(any(cloth.translucency > SHEER for cloth in look.cloths))
     packed = np.zeros(max(1, len(cloths)), CLOTH)
@@ -120,29 +117,20 @@ def _cloth_rows(look: Appearance, scene: Scene) -> Int[np.ndarray, " p"]:
     return np.asarray(look.cloth_of_panel)
 
 
-def _pack_camera(shot: np.void, view: View) -> None:
-    camera = view.camera
+def _pack_shot(shot: np.void, view: View, texels: _Texels) -> None:
+    """Camera, lights, place and figure of a view."""
+    look, camera, lights, place = view.appearance, view.camera, view.lights, view.environment
     shot["right"], shot["down"], shot["forward"] = camera.rotation
     shot["eye"], shot["focal"], shot["shift"], shot["seed"] = camera.eye, camera.focal, camera.shift, view.seed
-
-
-def _pack_lights(shot: np.void, view: View) -> None:
-    lights = view.lights
     shot["key_direction"], shot["key"], shot["key_size"] = lights.key_direction, lights.key, lights.key_size
     fill = lights.fill_direction
     shot["fill_direction"] = lights.key_direction if fill is None else fill
     shot["fill"] = np.zeros(3) if fill is None else lights.fill
     shot["exposure"] = lights.exposure
-
-
-def _pack_place(shot: np.void, place: Environment, texels: _Texels) -> None:
     shot["place"], shot["place_size"], shot["place_seed"] = int(place.kind), place.size, place.seed
     shot["wall"], shot["floor"], shot["accent"] = linear_light(np.array(place.colours))
     shot["turn"] = np.cos(place.turn), np.sin(place.turn)
     shot["texels"], shot["width"], shot["height"] = texels.add(place.image)
-
-
-def _pack_figure(shot: np.void, look: Appearance) -> None:
     shot["skin"], shot["gloss"] = skin_albedo(look.skin.colour), look.skin.gloss
     shot["hair"], shot["eyes"] = linear_light(np.array([look.hair.colour, look.eyes]))
     shot["bare"] = int(look.underwear is None)
@@ -150,7 +138,7 @@ def _pack_figure(shot: np.void, look: Appearance) -> None:
         shot["underwear"], shot["top"] = linear_light(np.array(look.underwear.colour)), int(look.underwear.top)
 
 
-def _pack_cloth(row: np.void, cloth: Cloth, texels: _Texels) -> None:
+def _pack_cloth(row: np.void, cloth: ClothLook, texels: _Texels) -> None:
     motif, weave, stitching = cloth.print, cloth.weave, cloth.stitching
     row["print_kind"] = int(motif.kind)
     row["ground"], row["first"], row["second"], row["third"] = linear_light(np.array(motif.colours))
@@ -191,12 +179,9 @@ def panorama_glow(image: Float[np.ndarray, "h w 3"], turn: float) -> Float[np.nd
     normals = _sphere(256)
     weights = np.maximum(normals @ towards.T, 0.0) * area
     arriving = weights @ small.reshape(-1, 3) / weights.sum(axis=1, keepdims=True)
-    return np.linalg.lstsq(_quadratic(normals), arriving, rcond=None)[0]
-
-
-def _quadratic(n: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 9"]:
-    x, y, z = n.T
-    return np.stack([np.ones_like(x), x, y, z, x * y, y * z, z * x, y * y, x * x - z * z], axis=1)
+    x, y, z = normals.T
+    factors = np.stack([np.ones_like(x), x, y, z, x * y, y * z, z * x, y * y, x * x - z * z], axis=1)
+    return np.linalg.lstsq(factors, arriving, rcond=None)[0]
 
 
 def _sphere(count: int) -> Float[np.ndarray, "n 3"]:

@@ -1,55 +1,65 @@
-"""Pictures of garments on bodies by ray casting; needs neither a display nor OpenGL."""
+"""Plain pictures, as data sets store them: front and back in flat panel colours on paper."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, UInt8
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.lay_plan import PALETTE
-from gcd_dataset.generator.render.plain_batch import Picture, Scene, View, start_render
+from gcd_dataset.generator.lay_plan import PALETTE, PAPER
+from gcd_dataset.generator.render.appearance import RGB, Appearance, ClothLook, Print, Underwear
+from gcd_dataset.generator.render.cameras import fixed_camera
+from gcd_dataset.generator.render.casting import PendingPictures, start_pictures
+from gcd_dataset.generator.render.environment import Environment, EnvironmentKind, Lights
+from gcd_dataset.generator.render.pictures import MapName, PlainView
+from gcd_dataset.generator.render.scene import Scene, figure_scene, scene_of
 from gcd_dataset.records import Body, BoxMesh, Sample
 
-SKIN = (0.80, 0.76, 0.72)  # sRGB colour of bodies, 0 to 1
+SIDES = ("front", "back")
+SKIN: RGB = (0.80, 0.76, 0.72)
+WRONG_SIDE = 0.55  # brightness of the wrong side of cloth, relative to the right side
+CLOTHS = tuple(ClothLook(Print(colours=(colour,) * 4), wrong_side=WRONG_SIDE) for colour in PALETTE)
+PAGE = Environment(EnvironmentKind.PLAIN, ((PAPER[0] / 255, PAPER[1] / 255, PAPER[2] / 255),) * 3)
 
 
-@dataclass(frozen=True)
-class ColouredMesh:
-    """A triangle mesh with a colour for each face: one object of a scene."""
-
-    vertices: Float[np.ndarray, "v 3"]
-    """[cm]"""
-    faces: Int[np.ndarray, "f 3"]
-    """Counter-clockwise on the right side."""
-    colour_of_face: Int[np.ndarray, " f"]
-    """Row of ``colours`` for each face."""
-    colours: Float[np.ndarray, "n 3"]
-    """sRGB, 0 to 1."""
+def garment_scene(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh, body: Body) -> Scene:
+    """The scene of a garment at ``vertices`` [cm] on its body; of a diverged drape the body alone."""
+    return scene_of(mesh, vertices, body) if np.isfinite(vertices).all() else figure_scene(body)
 
 
-def garment_scene(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh, body: Body) -> tuple[ColouredMesh, ColouredMesh]:
-    """A scene: the body, and the garment at ``vertices`` [cm] with a colour for each panel."""
-    skin = ColouredMesh(body.vertices, body.faces, np.broadcast_to(0, len(body.faces)), np.array([SKIN]))
-    return skin, ColouredMesh(vertices, mesh.faces, mesh.panel_id % len(PALETTE), np.array(PALETTE))
+def plain_view(scene: Scene, side: str = "front", *, row: int = 0) -> PlainView:
+    """A plain view of a scene, which is in ``row`` of the list to be rendered."""
+    camera = fixed_camera(scene, side)
+    return PlainView(row, _look(len(scene.panel_names)), camera, Lights(-camera.rotation[2]), PAGE)
 
 
-def render_view(scene: Scene, *, size: int = 512, view: View = "front", device: str = "auto") -> Picture:
-    """A square picture of a scene; deterministic, and framed alike from the front and from behind.
+def start_plain(
+    scenes: Sequence[Scene], *, size: int, maps: Sequence[MapName] = (), device: str = "auto"
+) -> PendingPictures:
+    """Start rendering front and back of each scene, as ``start_pictures`` does."""
+    views = [plain_view(scene, side, row=row) for row, scene in enumerate(scenes) for side in SIDES]
+    return start_pictures(scenes, views, size=size, maps=maps, device=device)
 
-    Raises ``ConfigError`` for a missing device or a size below 1.
+
+def render_view(
+    scene: Scene, *, size: int = 512, view: str = "front", device: str = "auto"
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A square picture of a scene in plain colours, framed alike from the front and from behind.
+
+    Raises ``ConfigError`` for a missing device, a size below 1, or a view besides ``front`` and ``back``.
     """
-    [(picture,)] = start_render([scene], [view], size=size, device=device).pictures()
-    return picture
+    [picture] = start_pictures([scene], [plain_view(scene, view)], size=size, device=device).pictures()
+    return picture.rgb
 
 
 def render_garment(
     vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh, body: Body, *, size: int = 512, device: str = "auto"
-) -> tuple[Picture, Picture]:
+) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]:
     """Front and back of a garment at ``vertices`` [cm] on its body."""
-    scene = garment_scene(vertices, mesh, body)
-    [(front, back)] = start_render([scene], ["front", "back"], size=size, device=device).pictures()
-    return front, back
+    front, back = start_plain([garment_scene(vertices, mesh, body)], size=size, device=device).pictures()
+    return front.rgb, back.rgb
 
 
 def render_sample(sample: Sample, body: Body, *, size: int = 512, device: str = "auto") -> tuple[bytes, bytes]:
@@ -58,3 +68,8 @@ def render_sample(sample: Sample, body: Body, *, size: int = 512, device: str = 
         raise ConfigError(f"{sample.key} is not draped: make it with stage drape to render it")
     front, back = render_garment(sample.drape.vertices, sample.box_mesh, body, size=size, device=device)
     return jpeg_bytes(front), jpeg_bytes(back)
+
+
+@cache  # views of one look share its cloths on the device
+def _look(panels: int) -> Appearance:
+    return Appearance(CLOTHS, np.arange(panels) % len(CLOTHS), underwear=Underwear(SKIN))

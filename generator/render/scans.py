@@ -27,7 +27,8 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.drape.device import launch_lock, to_host
 from gcd_dataset.generator.render.cameras import Camera, look_at
-from gcd_dataset.generator.render.kernels import ranging
+from gcd_dataset.generator.render.figure import vertex_normals
+from gcd_dataset.generator.render.kernels import truths
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.records import Record
 
@@ -73,7 +74,9 @@ class RangeImage(Record):
         normals = np.zeros((*self.face.shape, 3), np.float32)
         seen = self.covered
         corner = self.vertex_normals[_faces(self.scene)[self.face[seen]]]
-        own = np.einsum("nk,nkc->nc", _three(self.weights[seen]), corner)
+        first_two = self.weights[seen]
+        weights = np.column_stack([first_two, 1.0 - first_two.sum(axis=1)])
+        own = np.einsum("nk,nkc->nc", weights, corner)
         own /= np.maximum(np.linalg.norm(own, axis=1, keepdims=True), 1e-12)
         facing = np.einsum("nc,nc->n", own, self.positions()[seen] - self.camera.eye)
         normals[seen] = np.where(facing[:, None] > 0, -own, own)
@@ -96,11 +99,11 @@ class Ranger:
 
     def __init__(self, scene: Scene, *, device: str = "auto") -> None:
         self.scene, self.device = scene, resolve_device(device)
-        load_kernels("scanner", ranging, device=self.device)
+        load_kernels("scanner", truths, device=self.device)
         vertices, faces = np.concatenate([scene.vertices, scene.body.vertices]), _faces(scene)
         if not np.isfinite(vertices).all():
             raise ConfigError("a garment with NaN positions, of a diverged drape: select samples by their outcome")
-        self._normals = _mesh_normals(vertices, faces)
+        self._normals = vertex_normals(vertices, faces)
         with launch_lock:
             points = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=self.device)
             corners = wp.array(faces.astype(np.int32).ravel(), dtype=int, device=self.device)
@@ -128,7 +131,7 @@ class Ranger:
                 self._array([camera.rotation for camera in cameras], wp.mat33),
                 self._array([camera.intrinsics(size) for camera in cameras], wp.mat33),
             ]
-            wp.launch(ranging.first_surface, shape, inputs=inputs, outputs=[face, weights, depth], device=self.device)
+            wp.launch(truths.first_surface, shape, inputs=inputs, outputs=[face, weights, depth], device=self.device)
             arrays = zip(cameras, to_host(face), to_host(weights), to_host(depth), strict=True)
             return [RangeImage(self.scene, self._normals, *entry) for entry in arrays]
 
@@ -137,7 +140,7 @@ class Ranger:
         with launch_lock:
             lit = wp.zeros(len(points), dtype=wp.uint8, device=self.device)
             inputs = [self._mesh.id, wp.vec3(*map(float, lamp)), self._array(points, wp.vec3)]
-            wp.launch(ranging.lit_points, len(points), inputs=inputs, outputs=[lit], device=self.device)
+            wp.launch(truths.lit_points, len(points), inputs=inputs, outputs=[lit], device=self.device)
             return to_host(lit) == 1
 
     def _array(self, values: object, dtype: type) -> wp.array:
@@ -149,19 +152,6 @@ class Ranger:
 
 def _faces(scene: Scene) -> Int[np.ndarray, "m 3"]:
     return np.concatenate([scene.faces, scene.body.faces + len(scene.vertices)])
-
-
-def _three(weights: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
-    return np.column_stack([weights, 1.0 - weights.sum(axis=1)])
-
-
-def _mesh_normals(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Float[np.ndarray, "n 3"]:
-    """Unit vertex normals: face normals weighted by area."""
-    a, b, c = vertices.astype(float)[faces].transpose(1, 0, 2)
-    normal = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-    corner = faces.ravel()
-    total = np.stack([np.bincount(corner, normal[:, k], minlength=len(vertices)) for k in range(3)], axis=1)
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
 
 
 @dataclass(frozen=True)
@@ -227,25 +217,16 @@ EDGE = 3.0  # cm; neighbours further apart in depth lie on two sides of a depth 
 TRAIL = 12.0  # cm; flying pixels hang up to this far behind the front
 
 
-@dataclass(frozen=True, eq=False)
-class Measured(Record):
-    """What a sensor measures of a range image, and where it got it from."""
-
-    depth: Float[np.ndarray, "h w"]
-    """[cm]; NaN where nothing is measured."""
-    source: Int[np.ndarray, "h w"]
-    """The pixel that is measured, as a row of the flattened image."""
-
-
 def measure(
     image: RangeImage,
     noise: DepthNoise,
     rng: np.random.Generator,
     *,
     lit: Callable[[Float[np.ndarray, "3"], Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]] | None = None,
-) -> Measured:
-    """The depths that a camera with ``noise`` measures; ``lit(lamp, points)`` tells what the projector reaches.
+) -> tuple[Float[np.ndarray, "h w"], Int[np.ndarray, "h w"]]:
+    """The depths that a camera with ``noise`` measures [cm], NaN for none, and the pixels of the image that they show.
 
+    Pixels are rows of the flattened image; ``lit(lamp, points)`` tells what the projector reaches.
     Numbers are drawn for every pixel and in a fixed order, so a kind of noise leaves the others as they are.
     """
     shape = image.face.shape
@@ -261,7 +242,7 @@ def measure(
     depth = _flown(depth, true.ravel()[source], noise.flying, trail, side, flies)
     if noise.disparity_step:
         depth = _through_disparity(depth, noise, disparity)
-    return Measured(depth + noise.sigma * axial, source)
+    return depth + noise.sigma * axial, source
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers
@@ -457,16 +438,16 @@ def _measured(
     ranger: Ranger, image: RangeImage, number: int, noise: DepthNoise, rng: np.random.Generator, *, body: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Points, normals, panels and the camera's number, of all pixels with a depth."""
-    seen = measure(image, noise, rng, lit=ranger.lit)
+    depth, source = measure(image, noise, rng, lit=ranger.lit)
     turn, shift = rng.standard_normal((2, 3))
-    panel = image.panel.ravel()[seen.source]
-    kept = np.isfinite(seen.depth) & ((panel >= 0) | body)
-    points = image.positions(np.where(kept, seen.depth, 0.0))[kept]
+    panel = image.panel.ravel()[source]
+    kept = np.isfinite(depth) & ((panel >= 0) | body)
+    points = image.positions(np.where(kept, depth, 0.0))[kept]
     if number:
         rotation = _rotation(np.radians(noise.rotation) * turn)
         middle = image.scene.vertices.mean(axis=0)
         points = (points - middle) @ rotation.T + middle + noise.shift * shift
-    normals = image.normals.reshape(-1, 3)[seen.source[kept]]
+    normals = image.normals.reshape(-1, 3)[source[kept]]
     return points, normals, panel[kept], np.full(len(points), number)
 
 

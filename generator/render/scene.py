@@ -120,6 +120,23 @@ def scene_of(
     return scene
 
 
+def figure_scene(body: Body) -> Scene:
+    """A scene without a garment."""
+    return Scene(
+        vertices=np.zeros((0, 3)),
+        faces=np.zeros((0, 3), int),
+        uv=np.zeros((0, 2)),
+        corners=np.zeros((0, 3), int),
+        uv_vertex=np.zeros(0, int),
+        panel_id=np.zeros(0, int),
+        panel_names=(),
+        panel_labels=(),
+        seams=np.zeros((0, 2), int),
+        body=body,
+        landmarks=_landmarks(body),
+    )
+
+
 def scene_of_sample(sample: Sample, body: Body, *, hair: HairStyle = HairStyle.NONE) -> Scene:
     """The scene of a draped sample on its body. Raises ``ConfigError`` for a sample without a drape."""
     if sample.box_mesh is None or sample.drape is None:
@@ -130,10 +147,6 @@ def scene_of_sample(sample: Sample, body: Body, *, hair: HairStyle = HairStyle.N
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 NEAR = 1e-2  # cm; a row of ``uv`` nearer than this to a panel corner is that corner: specifications round to 1e-3 cm
-CELL = 0.5  # cm; side of a grid's cell, more than ``NEAR``
-BUCKETS = 1 << 16
-OFFSET = 1 << 20  # cells
-AROUND = tuple((i, j) for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0))
 
 
 def _panel_of_row(mesh: BoxMesh | Scene) -> Int32[np.ndarray, " c"]:
@@ -149,47 +162,22 @@ def _corners_in_mesh(
 ) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, " k"]]:
     """(panel, corner) and row of ``uv`` for each panel corner that is a vertex of the mesh."""
     panels = {} if pattern is None else {panel.name: panel for panel in pattern.panels}
-    wanted = [panels[name].vertices if name in panels else np.zeros((0, 2)) for name in mesh.panel_names]
-    corners = np.concatenate([np.zeros((0, 2)), *wanted])
-    panel = np.repeat(np.arange(len(wanted)), [len(vertices) for vertices in wanted])
-    rows = _rows_near(mesh.uv, panel_of_row, corners, panel)
+    order = np.argsort(panel_of_row, kind="stable") if panels else np.zeros(0, int)
+    ends = np.searchsorted(panel_of_row[order], np.arange(len(mesh.panel_names) + 1))
     ids: list[tuple[int, int]] = []
     found: list[int] = []
-    ends = np.searchsorted(panel_of_row[rows], np.arange(len(wanted) + 1))
-    for number, vertices in enumerate(wanted):
-        own = rows[ends[number] : ends[number + 1]]
-        if not len(own) or not len(vertices):
+    for number, name in enumerate(mesh.panel_names):
+        own = order[ends[number] : ends[number + 1]]
+        if name not in panels or not len(own):
             continue
-        apart = np.linalg.norm(mesh.uv[own][None] - vertices[:, None], axis=2)
-        nearest = apart.argmin(axis=1)
-        for corner in np.flatnonzero(apart.min(axis=1) < NEAR).tolist():
-            ids.append((number, corner))
-            found.append(int(own[nearest[corner]]))
+        u, v = mesh.uv[own].T
+        for corner, (x, y) in enumerate(panels[name].vertices):
+            apart = (u - x) ** 2 + (v - y) ** 2
+            nearest = int(apart.argmin())
+            if apart[nearest] < NEAR**2:
+                ids.append((number, corner))
+                found.append(int(own[nearest]))
     return np.array(ids, int).reshape(-1, 2), np.array(found, int)
-
-
-def _rows_near(
-    uv: Float[np.ndarray, "c 2"],
-    panel_of_row: Int[np.ndarray, " c"],
-    corners: Float[np.ndarray, "k 2"],
-    panel: Int[np.ndarray, " k"],
-) -> Int[np.ndarray, " n"]:
-    """The rows of ``uv`` nearer than ``NEAR`` to a corner of their panel, and some others; sorted by panel."""
-    marked = np.zeros(BUCKETS, bool)
-    cell = corners * (1.0 / CELL)
-    for step in AROUND:
-        marked[_bucket(cell[:, 0] + step[0], cell[:, 1] + step[1], panel)] = True
-    near = np.flatnonzero(marked[_bucket(uv[:, 0] * (1.0 / CELL), uv[:, 1] * (1.0 / CELL), panel_of_row)])
-    return near[np.argsort(panel_of_row[near], kind="stable")]
-
-
-def _bucket(
-    column: Float[np.ndarray, " n"], row: Float[np.ndarray, " n"], panel: Int[np.ndarray, " n"]
-) -> Int[np.ndarray, " n"]:
-    """Bucket of a hash table for a cell of a panel's grid."""
-    # Offset: truncation rounds down only what is positive.
-    x, y = (column + OFFSET).astype(np.int64), (row + OFFSET).astype(np.int64)
-    return np.asarray((x * 73 + y * 4099 + panel * 7919) & (BUCKETS - 1))
 
 
 def _landmarks(body: Body) -> dict[str, Float[np.ndarray, "3"]]:

@@ -13,6 +13,7 @@ Lines are found in a range image and drawn as smooth strokes at any size:
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -21,11 +22,22 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render.cameras import Camera, look_at
-from gcd_dataset.generator.render.contours import Segments, chains, cracks, level_lines, linked, smoothed, valleys
-from gcd_dataset.generator.render.geometry import HEM, panel_borders
+from gcd_dataset.generator.render.geometry import HEM, PanelBorders, panel_borders
 from gcd_dataset.generator.render.scans import RangeImage, Ranger
 from gcd_dataset.generator.render.scene import Scene
-from gcd_dataset.generator.render.strokes import Stroke, by_hand, dashed, draw_strokes
+from gcd_dataset.generator.render.strokes import (
+    Segments,
+    SketchLine,
+    by_hand,
+    chains,
+    cracks,
+    dashed,
+    draw_strokes,
+    level_lines,
+    linked,
+    smoothed,
+    valleys,
+)
 from gcd_dataset.records import Body
 
 PIXELS = 640  # rows and columns of the range image; strokes are smooth, so that a sketch may be larger
@@ -122,7 +134,7 @@ def sketch(
     return draw_strokes(drawn, size, grain=int(rng.integers(1 << 31)))
 
 
-def sketch_strokes(image: RangeImage, style: SketchStyle = FLAT) -> list[Stroke]:
+def sketch_strokes(image: RangeImage, style: SketchStyle = FLAT) -> list[SketchLine]:
     """The lines of a range image, as even strokes."""
     lines = _Lines(image)
     found = [*lines.outlines(), *lines.edges()]
@@ -148,25 +160,26 @@ class _Lines:
         self.clearance = self._clearance()
         """Distance of each pixel from outline and edges [cm]."""
 
-    def outlines(self) -> list[Stroke]:
+    @cached_property
+    def borders(self) -> PanelBorders:
+        return panel_borders(self.image.scene)
+
+    def outlines(self) -> list[SketchLine]:
         return self._strokes("outline", chains(cracks(*self.border)))
 
-    def edges(self) -> list[Stroke]:
+    def edges(self) -> list[SketchLine]:
         return self._strokes("edge", self.edge_lines)
 
-    def figure(self) -> list[Stroke]:
+    def figure(self) -> list[SketchLine]:
         """The body's own lines, where cloth does not draw the border."""
         covered = self.image.covered
         skin = covered & ~self.cloth
         beside = [pair & ~border for pair, border in zip(_differ(covered), self.border, strict=True)]
         return self._strokes("body", [*chains(cracks(*beside)), *self._jump_lines(skin)])
 
-    def seams(self) -> list[Stroke]:
+    def seams(self) -> list[SketchLine]:
         """The pattern's seams that are seen."""
-        scene = self.image.scene
-        panel_of_row = np.zeros(len(scene.uv), np.int64)
-        panel_of_row[scene.corners] = scene.panel_id[:, None]
-        borders = panel_borders(scene, panel_of_row)
+        scene, borders = self.image.scene, self.borders
         sewn = scene.uv_vertex[borders.ends[borders.seam != HEM]]
         pairs = np.unique(np.sort(sewn, axis=1), axis=0)
         runs: list[np.ndarray] = []
@@ -176,15 +189,17 @@ class _Lines:
             runs += _runs(pixels, self._in_sight(even, pixels), gap=4)
         return self._strokes("seam", runs)
 
-    def hems(self) -> list[Stroke]:
+    def hems(self) -> list[SketchLine]:
         """Dashes at ``HEM_STITCH`` from the edges of the cloth, on its outside."""
-        lines = chains(level_lines(self._distance_to_hems(), HEM_STITCH))
-        strokes = self._strokes("hem", [run for line in lines for run in self._clear(line, "hem")])
+        runs: list[np.ndarray] = []
+        for line in chains(level_lines(self._distance_to_hems(), HEM_STITCH)):
+            runs += _runs(line, self.clearance[_at(line, self.cloth.shape)] > CLEAR["hem"], gap=3)
+        strokes = self._strokes("hem", runs)
         long = [stroke for stroke in strokes if stroke.length * self.image.size > 2 * DASH * self.cm]
         dash, gap = DASH * self.cm / self.image.size, GAP * self.cm / self.image.size
         return [piece for stroke in long for piece in dashed(stroke, dash, gap)]
 
-    def folds(self) -> list[Stroke]:
+    def folds(self) -> list[SketchLine]:
         """Valleys of the brightness under a lamp at the camera."""
         sigma = FOLD_SCALE * self.cm
         bright, known = self._brightness(sigma)
@@ -202,7 +217,8 @@ class _Lines:
 
     def _jump_lines(self, surface: Bool[np.ndarray, "h w"]) -> list[np.ndarray]:
         """Lines along which the depth of a surface jumps: by ``LEAST_JUMP`` all along, by ``JUMP`` in places."""
-        least = [(jump > LEAST_JUMP) & pair for jump, pair in zip(self.jumps, _both(surface), strict=True)]
+        both = surface[:, :-1] & surface[:, 1:], surface[:-1] & surface[1:]
+        least = [(jump > LEAST_JUMP) & pair for jump, pair in zip(self.jumps, both, strict=True)]
         strong = _distance_to(*(jump > JUMP for jump in self.jumps)) <= 1.0
         whole = [line for line in chains(cracks(*least)) if len(line) > SPECK * self.cm]
         lines = linked(whole, LINK * self.cm)
@@ -216,13 +232,13 @@ class _Lines:
         across, down = across | beside[:, :-1], down | beside[:-1]
         return _distance_to(across, down) / self.cm
 
-    def _strokes(self, kind: str, lines: Sequence[np.ndarray]) -> list[Stroke]:
+    def _strokes(self, kind: str, lines: Sequence[np.ndarray]) -> list[SketchLine]:
         """Smooth strokes of the lines that are long enough; from pixels to shares of the picture."""
         strokes = []
         for line in lines:
             curve = smoothed(line, SMOOTH)
             points = (curve + 0.5) / self.image.size
-            stroke = Stroke(points, WIDTHS[kind], INKS[kind])
+            stroke = SketchLine(points, WIDTHS[kind], INKS[kind])
             if stroke.length * self.image.size >= SHORTEST.get(kind, 0.0) * self.cm:
                 strokes.append(stroke)
         return strokes
@@ -242,16 +258,10 @@ class _Lines:
         inside = ((pixels >= 0) & (pixels < np.array(shape[::-1]))).all(axis=1)
         return inside & (nearest < HIDDEN) & (self.clearance[at] > CLEAR["seam"])
 
-    def _clear(self, line: np.ndarray, kind: str) -> list[np.ndarray]:
-        return _runs(line, self.clearance[_at(line, self.cloth.shape)] > CLEAR[kind], gap=3)
-
     def _distance_to_hems(self) -> Float[np.ndarray, "h w"]:
         """Distance along the cloth to the next edge without a seam [cm]; NaN off the cloth's outside."""
         scene, image = self.image.scene, self.image
-        panel_of_row = np.zeros(len(scene.uv), np.int64)
-        panel_of_row[scene.corners] = scene.panel_id[:, None]
-        borders = panel_borders(scene, panel_of_row)
-        ends = borders.ends[borders.seam == HEM]
+        ends = self.borders.ends[self.borders.seam == HEM]
         distance = np.full(image.face.shape, np.nan)
         outside = self.cloth & ~self.turned
         if not len(ends) or not outside.any():
@@ -260,7 +270,7 @@ class _Lines:
         share = np.linspace(0.0, 1.0, 9)[:, None, None]
         # Panels lie on one plane each; a third coordinate keeps them apart.
         along = np.column_stack(
-            [((1 - share) * a + share * b).reshape(-1, 2), np.tile(panel_of_row[ends[:, 0]], 9) * 1e3]
+            [((1 - share) * a + share * b).reshape(-1, 2), np.tile(scene.panel_of_row[ends[:, 0]], 9) * 1e3]
         )
         here = np.column_stack([_uv_at(image, outside), image.panel[outside] * 1e3])
         most = HEM_STITCH + 3.0
@@ -296,10 +306,6 @@ def _seen_from_behind(image: RangeImage) -> Bool[np.ndarray, "h w"]:
     away = np.einsum("fc,fc->f", np.cross(b - a, c - a), a - image.camera.eye) > 0
     own = image.garment
     return own & away[np.where(own, image.face, 0)]
-
-
-def _both(mask: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
-    return mask[:, :-1] & mask[:, 1:], mask[:-1] & mask[1:]
 
 
 def _differ(mask: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
@@ -358,7 +364,7 @@ def _uv_at(image: RangeImage, pixels: Bool[np.ndarray, "h w"]) -> Float[np.ndarr
     return u[:, None] * corner[:, 0] + v[:, None] * corner[:, 1] + (1 - u - v)[:, None] * corner[:, 2]
 
 
-def _tapered(stroke: Stroke) -> Stroke:
+def _tapered(stroke: SketchLine) -> SketchLine:
     """A fold runs out at both ends."""
     share = np.linspace(0.0, 1.0, len(stroke.points))
     return replace(stroke, pressure=0.25 + 0.75 * np.sqrt(np.sin(np.pi * share).clip(0.0)))

@@ -33,7 +33,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.generator.render import Ranges, look_at
-from gcd_dataset.generator.render.looks import LOOKS
+from gcd_dataset.generator.render.materials import LOOKS
 from gcd_dataset.metrics import PatternScore
 from gcd_dataset.records import Drape, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter

@@ -2,9 +2,8 @@
 
 import warp as wp
 
-from gcd_dataset.generator.render.kernels.noise import fractal2, fraction, noise2, ramp, random2
 from gcd_dataset.generator.render.kernels.records import Shot
-from gcd_dataset.generator.render.kernels.texels import bilinear
+from gcd_dataset.generator.render.kernels.textures import bilinear, fractal2, fraction, noise2, ramp, random2
 
 wp.set_module_options({"enable_backward": False})
 

@@ -1,4 +1,4 @@
-"""What is computed once for a scene, whatever the views: distances to borders, and light from the sky."""
+"""What is computed once for a scene, whatever the views: normals, distances to borders, and light from the sky."""
 
 import warp as wp
 
@@ -16,6 +16,28 @@ FLOOR_REACH = 70.0  # cm
 FLOOR_CELLS = 64  # along each side of the grid under the figure
 FLOOR_SIDE = 320.0  # cm
 GOLDEN_ANGLE = 2.39996323
+FIXED = 2.0**36  # fixed-point steps in a cm²: integer sums do not depend on the order of the threads
+
+
+@wp.kernel
+def sum_normals(corner: wp.array(dtype=int), position: wp.array(dtype=wp.vec3),
+                total: wp.array2d(dtype=wp.int64)):  # fmt: skip
+    """Add each face's normal, of length twice its area, to ``total`` (v, 3) at its corners, in fixed point."""
+    face = wp.tid()
+    a = wp.vec3d(position[corner[3 * face]])
+    normal = wp.cross(wp.vec3d(position[corner[3 * face + 1]]) - a, wp.vec3d(position[corner[3 * face + 2]]) - a)
+    for axis in range(3):
+        share = wp.int64(wp.round(normal[axis] * wp.float64(FIXED)))
+        for k in range(3):
+            wp.atomic_add(total, corner[3 * face + k], axis, share)
+
+
+@wp.kernel
+def scale_normals(total: wp.array2d(dtype=wp.int64), normal: wp.array(dtype=wp.vec3)):
+    """Normalise the summed normals."""
+    i = wp.tid()
+    normal[i] = wp.vec3(wp.normalize(wp.vec3d(
+        wp.float64(total[i, 0]), wp.float64(total[i, 1]), wp.float64(total[i, 2]))))  # fmt: skip
 
 
 @wp.kernel

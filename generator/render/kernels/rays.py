@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from gcd_dataset.generator.render.kernels.noise import mixed, unit
-from gcd_dataset.generator.render.kernels.records import Cloth, Scenes, Shot
+from gcd_dataset.generator.render.kernels.records import ClothRow, Scenes, Shot
+from gcd_dataset.generator.render.kernels.textures import mixed, unit
 
 wp.set_module_options({"enable_backward": False})
 
@@ -26,7 +26,14 @@ def ray_through(shot: Shot, column: float, row: float, size: float) -> wp.vec3:
 
 @wp.func
 def sample_offset(shot: Shot, row: int, column: int, k: int, side: int) -> wp.vec2:
-    """Where sample ``k`` of ``side`` × ``side`` lies in its pixel, -0.5 to 0.5: a random place of its own square."""
+    """Where sample ``k`` of ``side`` × ``side`` lies in its pixel, -0.5 to 0.5: a random place of its own square.
+
+    Of plain shots a grid whose rows and columns are staggered: steep and level edges have all steps of grey.
+    """
+    if shot.plain == 1:
+        i = (float(k % side) + 0.5) / float(side) - 0.5
+        j = (float(k // side) + 0.5) / float(side) - 0.5
+        return wp.vec2(i + j / float(side), j - i / float(side))
     word = mixed(mixed(wp.uint32(shot.seed), wp.uint32(row)), mixed(wp.uint32(column), wp.uint32(k)))
     x = (float(k % side) + unit(word)) / float(side) - 0.5
     y = (float(k // side) + unit(mixed(word, wp.uint32(1)))) / float(side) - 0.5
@@ -46,7 +53,7 @@ def kind_of(scenes: Scenes, scene: int, face: int) -> int:
 
 
 @wp.func
-def sheerness(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=Cloth),
+def sheerness(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=ClothRow),
               face: int) -> float:  # fmt: skip
     """Share of light that passes straight through a face of the scene."""
     if kind_of(scenes, shot.scene, face) != GARMENT:
@@ -56,7 +63,7 @@ def sheerness(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), c
 
 
 @wp.func
-def light_through(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=Cloth),
+def light_through(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=ClothRow),
                   start: wp.vec3, direction: wp.vec3) -> float:  # fmt: skip
     """Share of a light's rays that reach ``start``: 0 behind an opaque surface."""
     mesh = scenes.mesh[shot.scene]

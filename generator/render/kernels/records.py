@@ -6,7 +6,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
-class Cloth:
+class ClothRow:
     """Material of a part of a garment. Colours are linear, lengths in cm."""
 
     print_kind: int
@@ -46,6 +46,7 @@ class Shot:
     """A view: camera, lights, place, skin; colours are linear."""
 
     scene: int
+    plain: int  # 1: flat colours on paper, under lights at the camera
     right: wp.vec3
     down: wp.vec3
     forward: wp.vec3

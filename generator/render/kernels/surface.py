@@ -2,23 +2,32 @@
 
 import warp as wp
 
-from gcd_dataset.generator.render.kernels.noise import ramp
-from gcd_dataset.generator.render.kernels.prints import band, print_colour, repeated
+from gcd_dataset.generator.render.kernels.cloth import (
+    band,
+    print_colour,
+    repeated,
+    weave_slope,
+    wrinkle_slope,
+    yarn_variation,
+)
 from gcd_dataset.generator.render.kernels.rays import BODY, EYE, GARMENT, kind_of
-from gcd_dataset.generator.render.kernels.records import Cloth, Scenes, Shot
-from gcd_dataset.generator.render.kernels.skin import body_colour, eye_colour, hair_strand, is_underwear
-from gcd_dataset.generator.render.kernels.weaves import weave_slope, wrinkle_slope, yarn_variation
+from gcd_dataset.generator.render.kernels.records import ClothRow, Scenes, Shot
+from gcd_dataset.generator.render.kernels.textures import inside, noise2, ramp
 
 wp.set_module_options({"enable_backward": False})
 
 UNKNOWN = 1.0e3  # cm; distance of a border that a panel lacks
 GROOVE = 0.22  # cm; half width of the groove at a seam and of the roll at a hem
 THREAD = 0.035  # cm; half width of a stitch's thread
+BRIEFS = wp.constant(0)
+TOP = wp.constant(1)
+BROWS = wp.constant(2)
+LIPS = wp.constant(3)
 
 
 @wp.struct
-class Surface:
-    """A point on a surface, as seen from a camera."""
+class Hit:
+    """A point on a surface that a ray met, as seen from a camera."""
 
     kind: int  # GARMENT, BODY or HAIR
     point: wp.vec3
@@ -103,11 +112,10 @@ def smooth_point(scenes: Scenes, first: int, weights: wp.vec3, point: wp.vec3, s
 
 
 @wp.func
-def surface_at(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=Cloth),
-               texel: wp.array(dtype=wp.vec3), sky: wp.array2d(dtype=float), face: int, bary: wp.vec2,
-               direction: wp.vec3, pixel: float) -> Surface:  # fmt: skip
-    """The surface at a hit; ``face`` counts within the scene, ``pixel`` is a pixel's angle [rad]."""
-    s = Surface()
+def hit_at(scenes: Scenes, shot: Shot, sky: wp.array2d(dtype=float), face: int, bary: wp.vec2,
+           direction: wp.vec3) -> Hit:  # fmt: skip
+    """Place, normals and open sky of a hit, without its material; ``face`` counts within the scene."""
+    s = Hit()
     weights = wp.vec3(bary[0], bary[1], 1.0 - bary[0] - bary[1])
     first = 3 * (scenes.first_face[shot.scene] + face)
     i = scenes.corner[first]
@@ -120,32 +128,55 @@ def surface_at(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), 
     s.flat = wp.normalize(wp.cross(q - p, r - p))
     smooth = scenes.normal[i] * weights[0] + scenes.normal[j] * weights[1] + scenes.normal[k] * weights[2]
     s.round = wp.normalize(smooth)
-    sign = float(1.0)
-    s.wrong = 0
-    if wp.dot(s.flat, direction) > 0.0:
-        sign = -1.0
-        s.wrong = 1
-    s.flat = s.flat * sign
-    s.round = s.round * sign
+    s.wrong = int(wp.dot(s.flat, direction) > 0.0)
+    if s.wrong == 1:
+        s.flat = -s.flat
+        s.round = -s.round
     s.normal = s.round
-    s.smooth = smooth_point(scenes, first, weights, s.point, sign)
     s.clear = sky[s.wrong, i] * weights[0] + sky[s.wrong, j] * weights[1] + sky[s.wrong, k] * weights[2]
     s.kind = kind_of(scenes, shot.scene, face)
+    s.warmth = 0.0
+    s.transmission = 0.0
+    s.through = 0.0
+    return s
+
+
+@wp.func
+def finished(s: Hit, roughness: float, specular: float, sheen: float, scatter: float) -> Hit:
+    """The hit with a gloss."""
+    s.roughness = roughness
+    s.specular = specular
+    s.sheen = sheen
+    s.scatter = scatter
+    return s
+
+
+@wp.func
+def surface_at(scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int), cloths: wp.array(dtype=ClothRow),
+               texel: wp.array(dtype=wp.vec3), sky: wp.array2d(dtype=float), face: int, bary: wp.vec2,
+               direction: wp.vec3, pixel: float) -> Hit:  # fmt: skip
+    """The surface at a hit; ``face`` counts within the scene, ``pixel`` is a pixel's angle [rad]."""
+    s = hit_at(scenes, shot, sky, face, bary, direction)
+    weights = wp.vec3(bary[0], bary[1], 1.0 - bary[0] - bary[1])
+    first = 3 * (scenes.first_face[shot.scene] + face)
+    sign = 1.0 - 2.0 * float(s.wrong)
+    s.smooth = smooth_point(scenes, first, weights, s.point, sign)
     facing = wp.max(0.25, wp.abs(wp.dot(s.round, direction)))
     width = wp.length(s.point - shot.eye) * pixel / wp.sqrt(facing)
     if s.kind == GARMENT:
         return cloth_surface(s, scenes, shot, cloth_of_panel, cloths, texel, face, weights, width, sign)
     if s.kind == BODY:
-        return body_surface(s, scenes, shot, wp.vec3i(i, j, k), weights, width)
+        corners = wp.vec3i(scenes.corner[first], scenes.corner[first + 1], scenes.corner[first + 2])
+        return body_surface(s, scenes, shot, corners, weights, width)
     if s.kind == EYE:
         return eye_surface(s, shot, scenes)
     return hair_surface(s, shot, scenes)
 
 
 @wp.func
-def cloth_surface(s: Surface, scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int),
-                  cloths: wp.array(dtype=Cloth), texel: wp.array(dtype=wp.vec3), face: int, weights: wp.vec3,
-                  width: float, sign: float) -> Surface:  # fmt: skip
+def cloth_surface(s: Hit, scenes: Scenes, shot: Shot, cloth_of_panel: wp.array(dtype=int),
+                  cloths: wp.array(dtype=ClothRow), texel: wp.array(dtype=wp.vec3), face: int, weights: wp.vec3,
+                  width: float, sign: float) -> Hit:  # fmt: skip
     """Material and relief of the cloth."""
     row = scenes.first_cloth_face[shot.scene] + face
     panel = scenes.panel[row]
@@ -174,11 +205,7 @@ def cloth_surface(s: Surface, scenes: Scenes, shot: Shot, cloth_of_panel: wp.arr
     colour = colour * (1.0 - gap)
     colour = wp.lerp(colour, cloth.stitch_colour, stitches(cloth, border, width))
     s.colour = wp.vec3(wp.clamp(colour[0], 0.0, 0.95), wp.clamp(colour[1], 0.0, 0.95), wp.clamp(colour[2], 0.0, 0.95))
-    s.roughness = cloth.roughness
-    s.specular = cloth.specular
-    s.sheen = cloth.sheen
-    s.scatter = 0.12
-    s.warmth = 0.0
+    s = finished(s, cloth.roughness, cloth.specular, cloth.sheen, 0.12)
     s.transmission = cloth.transmission
     s.through = cloth.translucency
     # Seams and hems are several layers thick.
@@ -195,7 +222,7 @@ def falling(distance: float, height: float) -> float:
 
 
 @wp.func
-def stitches(cloth: Cloth, border: wp.vec4, width: float) -> float:
+def stitches(cloth: ClothRow, border: wp.vec4, width: float) -> float:
     """Share of a pixel that stitches cover."""
     share = float(0.0)
     if cloth.stitch_seam > 0.0:
@@ -240,8 +267,8 @@ def tilted(normal: wp.vec3, scenes: Scenes, shot: Shot, face: int, a: int, b: in
 
 
 @wp.func
-def body_surface(s: Surface, scenes: Scenes, shot: Shot, corners: wp.vec3i, weights: wp.vec3,
-                 width: float) -> Surface:  # fmt: skip
+def body_surface(s: Hit, scenes: Scenes, shot: Shot, corners: wp.vec3i, weights: wp.vec3,
+                 width: float) -> Hit:  # fmt: skip
     """Skin or underwear."""
     shift = scenes.first_mask[shot.scene] - scenes.first_body_vertex[shot.scene]
     mask = (
@@ -250,23 +277,14 @@ def body_surface(s: Surface, scenes: Scenes, shot: Shot, corners: wp.vec3i, weig
         + scenes.mask[corners[2] + shift] * weights[2]
     )
     s.colour = body_colour(shot, mask, s.point, width)
-    s.roughness = 0.5
-    s.specular = 0.028 * (0.35 + shot.gloss)
-    s.sheen = 0.04
-    s.scatter = 0.22
-    s.warmth = 1.0
     if is_underwear(shot, mask):
-        s.roughness = 0.8
-        s.specular = 0.02
-        s.scatter = 0.12
-        s.warmth = 0.0
-    s.transmission = 0.0
-    s.through = 0.0
-    return s
+        return finished(s, 0.8, 0.02, 0.04, 0.12)
+    s.warmth = 1.0
+    return finished(s, 0.5, 0.028 * (0.35 + shot.gloss), 0.04, 0.22)
 
 
 @wp.func
-def hair_surface(s: Surface, shot: Shot, scenes: Scenes) -> Surface:
+def hair_surface(s: Hit, shot: Shot, scenes: Scenes) -> Hit:
     """Hair: strands tilt the normal, and differ in colour."""
     middle = (scenes.eye[2 * shot.scene] + scenes.eye[2 * shot.scene + 1]) * 0.5
     centre = wp.vec3(middle[0], middle[1], middle[2] - 7.0)
@@ -274,18 +292,11 @@ def hair_surface(s: Surface, shot: Shot, scenes: Scenes) -> Surface:
     around = wp.normalize(wp.cross(wp.vec3(0.0, 1.0, 0.0), s.round) + wp.vec3(1.0e-4, 0.0, 0.0))
     s.normal = wp.normalize(s.round + around * (0.5 * strand))
     s.colour = shot.hair * (1.0 + 0.45 * strand)
-    s.roughness = 0.55
-    s.specular = 0.025
-    s.sheen = 0.03
-    s.scatter = 0.2
-    s.warmth = 0.0
-    s.transmission = 0.0
-    s.through = 0.0
-    return s
+    return finished(s, 0.55, 0.025, 0.03, 0.2)
 
 
 @wp.func
-def eye_surface(s: Surface, shot: Shot, scenes: Scenes) -> Surface:
+def eye_surface(s: Hit, shot: Shot, scenes: Scenes) -> Hit:
     """An eyeball."""
     eye = scenes.eye[2 * shot.scene]
     other = scenes.eye[2 * shot.scene + 1]
@@ -295,11 +306,51 @@ def eye_surface(s: Surface, shot: Shot, scenes: Scenes) -> Surface:
     s.normal = wp.normalize(direction)
     s.colour = eye_colour(shot, s.normal)
     s.clear = 0.45  # the sockets' vertices lie behind the eyes
-    s.roughness = 0.3
-    s.specular = 0.02
-    s.sheen = 0.0
-    s.scatter = 0.1
-    s.warmth = 0.0
-    s.transmission = 0.0
-    s.through = 0.0
-    return s
+    return finished(s, 0.3, 0.02, 0.0, 0.1)
+
+
+@wp.func
+def is_underwear(shot: Shot, mask: wp.vec4) -> bool:
+    """Whether underwear covers a point of the body; ``mask`` as in ``Scenes.mask``."""
+    if shot.bare == 1:
+        return False
+    return mask[BRIEFS] > 0.0 or (shot.top == 1 and mask[TOP] > 0.0)
+
+
+@wp.func
+def body_colour(shot: Shot, mask: wp.vec4, p: wp.vec3, width: float) -> wp.vec3:
+    """Linear colour of the body at ``p`` [cm]."""
+    patchy = noise2(wp.vec2(0.15 * p[0] + 0.11 * p[2], 0.13 * p[1]), 5)
+    colour = wp.cw_mul(shot.skin, wp.vec3(1.0 + 0.03 * patchy, 1.0 - 0.02 * patchy, 1.0 - 0.03 * patchy))
+    lips = wp.cw_mul(shot.skin, wp.vec3(0.72, 0.42, 0.42))
+    colour = wp.lerp(colour, lips, 0.75 * ramp(-0.2, 0.6, mask[LIPS]))
+    colour = wp.lerp(colour, lips * 0.12, ramp(1.2, 1.8, mask[LIPS]))
+    brows = wp.lerp(shot.hair, shot.skin, 0.25)
+    colour = wp.lerp(colour, brows, 0.8 * ramp(-0.12, 0.2, mask[BROWS]))
+    cover = float(0.0)
+    if shot.bare == 0:
+        cover = inside(-mask[BRIEFS], width)
+        if shot.top == 1:
+            cover = wp.max(cover, inside(-mask[TOP], width))
+    return wp.lerp(colour, shot.underwear, cover)
+
+
+@wp.func
+def eye_colour(shot: Shot, d: wp.vec3) -> wp.vec3:
+    """Linear colour of an eye in a direction from its middle; it looks ahead."""
+    off = wp.sqrt(d[0] * d[0] + d[1] * d[1])
+    if d[2] < 0.0:
+        off = 1.0
+    white = wp.vec3(0.62, 0.58, 0.55)
+    colour = wp.lerp(shot.eyes * (0.5 + off), white, ramp(0.40, 0.46, off))
+    return colour * ramp(0.14, 0.20, off)
+
+
+@wp.func
+def hair_strand(p: wp.vec3, middle: wp.vec3) -> float:
+    """Variation between strands, -1 to 1; they run from the crown downwards."""
+    around = wp.atan2(p[0] - middle[0], p[2] - middle[2])
+    wave = 0.12 * noise2(wp.vec2(around * 3.0, 0.3 * p[1]), 31)
+    coarse = noise2(wp.vec2((around + wave) * 16.0, 0.12 * p[1]), 23)
+    fine = noise2(wp.vec2((around + wave) * 60.0, 0.2 * p[1]), 29)
+    return 0.55 * coarse + 0.45 * fine

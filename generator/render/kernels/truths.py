@@ -1,4 +1,4 @@
-"""What is seen at the centre of each pixel, and whether given points are seen."""
+"""What is seen at the centre of each pixel, of pictures and of range images; whether points are seen and lit."""
 
 import warp as wp
 
@@ -15,6 +15,7 @@ SEAM_LINE = 0.3  # cm; least half width of a seam's line
 HEM = -2  # as ``geometry.HEM``
 LIFT = 0.25  # cm from a surface to the start of a shadow ray, as in ``cast``
 TOLERANCE = 0.15  # cm; a surface nearer than this to a point does not hide it
+LAMP_TOLERANCE = 0.3  # cm; the same for light of a projector
 
 
 @wp.struct
@@ -24,7 +25,7 @@ class Wanted:
     depth: int
     normals: int
     part: int
-    panel: int
+    panel_id: int
     seam: int
     uv: int
     silhouette: int
@@ -86,7 +87,7 @@ def see_centres(scenes: Scenes, shots: wp.array(dtype=Shot), wanted: Wanted, siz
     if kind != GARMENT:
         return
     face = scenes.first_cloth_face[shot.scene] + hit.face
-    if wanted.panel == 1:
+    if wanted.panel_id == 1:
         panel[number, row, column] = wp.int16(scenes.panel[face])
     place = uv_at(scenes, face, weights)
     if wanted.uv == 1:
@@ -121,3 +122,36 @@ def see_points(scenes: Scenes, shots: wp.array(dtype=Shot), shot_of_point: wp.ar
         visible[i] = wp.uint8(0)
     else:
         visible[i] = wp.uint8(1)
+
+
+@wp.kernel
+def first_surface(mesh: wp.uint64, eye: wp.array(dtype=wp.vec3), rotation: wp.array(dtype=wp.mat33),
+                  intrinsics: wp.array(dtype=wp.mat33),
+                  # out
+                  face: wp.array3d(dtype=int), weights: wp.array3d(dtype=wp.vec2),
+                  depth: wp.array3d(dtype=float)):  # fmt: skip
+    """Face, weights of its first two corners, and depth along the optical axis; unhit pixels keep their values."""
+    camera, row, column = wp.tid()
+    K = intrinsics[camera]
+    u = (float(column) - K[0, 2]) / K[0, 0]
+    v = (float(row) - K[1, 2]) / K[1, 1]
+    axes = rotation[camera]
+    ray = wp.transpose(axes) * wp.vec3(u, v, 1.0)
+    direction = wp.normalize(ray)
+    hit = wp.mesh_query_ray(mesh, eye[camera], direction, FAR)
+    if hit.result:
+        face[camera, row, column] = hit.face
+        weights[camera, row, column] = wp.vec2(hit.u, hit.v)
+        depth[camera, row, column] = hit.t / wp.length(ray)
+
+
+@wp.kernel
+def lit_points(mesh: wp.uint64, lamp: wp.vec3, point: wp.array(dtype=wp.vec3),
+               # out
+               lit: wp.array(dtype=wp.uint8)):  # fmt: skip
+    """1 where nothing lies between the lamp and the point."""
+    i = wp.tid()
+    away = point[i] - lamp
+    distance = wp.length(away)
+    if not wp.mesh_query_ray_anyhit(mesh, lamp, away / distance, distance - LAMP_TOLERANCE):
+        lit[i] = wp.uint8(1)

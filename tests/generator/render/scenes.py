@@ -6,7 +6,7 @@ import trimesh
 from gcd_dataset.generator.render import (
     Appearance,
     Camera,
-    Cloth,
+    ClothLook,
     Environment,
     EnvironmentKind,
     Lights,
@@ -28,16 +28,16 @@ DARK = Environment(EnvironmentKind.PLAIN, ((0.0, 0.0, 0.0),) * 3)
 FRONT_LIGHT = Lights(np.array([0.0, 0.0, 1.0]), key=(0.8, 0.8, 0.8), sky=0.2)
 
 
-def cloth_of(motif: Print, *, translucency: float = 0.0, transmission: float = 0.05) -> Cloth:
+def cloth_of(motif: Print, *, translucency: float = 0.0, transmission: float = 0.05) -> ClothLook:
     """Matt cloth without stitches, wrinkles and threads."""
-    return Cloth(motif, FLAT, BARE, translucency=translucency, transmission=transmission)
+    return ClothLook(motif, FLAT, BARE, translucency=translucency, transmission=transmission)
 
 
 def plain(*colours: tuple[float, float, float]) -> Print:
     return Print(colours=(*colours, *(GREY,) * (4 - len(colours))))  # type: ignore[arg-type]
 
 
-def look(scene: Scene, *cloths: Cloth) -> Appearance:
+def look(scene: Scene, *cloths: ClothLook) -> Appearance:
     """Panel k of cloth k, or all of the last."""
     rows = np.minimum(np.arange(len(scene.panel_names)), len(cloths) - 1)
     return Appearance(cloths, rows, underwear=None)
@@ -67,6 +67,6 @@ def ahead(distance: float = 100.0, *, focal: float = 4.0) -> Camera:
     return look_at(np.array([0.0, 100.0, distance]), np.array([0.0, 100.0, 0.0]), focal=focal)
 
 
-def view_of(scene: Scene, *cloths: Cloth, camera: Camera | None = None, lights: Lights = FRONT_LIGHT) -> View:
+def view_of(scene: Scene, *cloths: ClothLook, camera: Camera | None = None, lights: Lights = FRONT_LIGHT) -> View:
     cloths = cloths or (cloth_of(plain(GREY)),)
     return View(0, look(scene, *cloths), camera or ahead(), lights, DARK)

@@ -1,5 +1,6 @@
 """Light, shadow and cloth in pictures follow the scene; the same view gives the same bytes in any batch."""
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +23,10 @@ from gcd_dataset.generator.render import (
     look_at,
     render,
     scene_of,
+    start_pictures,
 )
+from gcd_dataset.generator.render.scene import figure_scene
+from gcd_dataset.generator.render.uploading import LARGE, buffer_size
 from tests.generator.render.scenes import (
     DARK,
     GREY,
@@ -65,16 +69,33 @@ def test_a_view_has_the_same_bytes_alone_and_in_any_batch() -> None:
         assert bytes_of(alone) == bytes_of(one) == bytes_of(other)
 
 
-def test_what_sheer_cloth_covers_does_not_depend_on_views_that_see_it_bare() -> None:
-    front, back = hung_patch(), hung_patch()
-    both = joined(front, back)
-    scene = scene_of(both, np.concatenate([front.vertices + [0, 0, 6.0], back.vertices]), far_ball())
-    voile = cloth_of(plain(WHITE), translucency=0.6)
-    through = view_of(scene, voile, cloth_of(plain(RED)))
-    aside = view_of(scene, voile, camera=look_at(np.array([90.0, 100.0, 12.0]), np.array([0.0, 100.0, 0.0]), focal=4.0))
-    [alone] = render([scene], [through], size=48, device="cpu")
-    beside, _ = render([scene], [through, aside], size=48, device="cpu")
-    assert np.array_equal(alone.rgb, beside.rgb)
+def test_lent_pictures_and_those_of_several_threads_are_the_pictures() -> None:
+    scenes = [ball_scene(), patch_scene()]
+    views = [view for row, scene in enumerate(scenes) for view in draw_views(5, row, scene, 2, row=row)]
+    expected = [bytes_of(picture) for picture in render(scenes, views, size=16, maps=MAPS, device="cpu")]
+    pending = start_pictures(scenes, views, size=16, maps=MAPS, device="cpu")
+    assert [bytes_of(picture) for picture in pending.lend()] == expected
+    pending.release()
+    results: dict[int, list[bytes]] = {}
+
+    def work(number: int) -> None:
+        pictures = start_pictures(scenes, views, size=16, maps=MAPS, device="cpu").pictures()
+        results[number] = [bytes_of(picture) for picture in pictures]
+
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert results == {0: expected, 1: expected}
+
+
+@pytest.mark.parametrize("needed", [0, 1, 3, 1000, LARGE, LARGE + 1, 9 * LARGE // 8])
+def test_buffers_hold_what_they_are_for(needed: int) -> None:
+    size = buffer_size(needed)
+    assert max(needed, 1) <= size <= max(2 * needed, 1)
+    assert needed <= LARGE or size < needed * 1.25
+    assert buffer_size(size) == size
 
 
 def test_maps_do_not_change_the_picture() -> None:
@@ -85,17 +106,17 @@ def test_maps_do_not_change_the_picture() -> None:
     assert set(with_maps.maps) == {"uv"}
 
 
+# -------------------------------------------------------------------------------------------------------------- light
+
+
 def test_cloth_between_light_and_cloth_casts_a_shadow() -> None:
     """Light from straight above: a level sheet shades the lower half of a hanging one but not cloth above it."""
     hung, sheet = hung_patch(), hung_patch(20, 4)
     level = np.stack([sheet.vertices[:, 0], np.full(len(sheet.vertices), 100.0), sheet.uv[:, 1] + 0.5], axis=1)
-    both = joined(hung, sheet)
     slanted = Lights(np.array([0.0, 0.8, 0.6]), key=(0.9, 0.9, 0.9), key_size=0.01, sky=0.1)
-    scene = scene_of(both, np.concatenate([hung.vertices, level]), far_ball())
-    shaded = shot(scene, view_of(scene, lights=slanted))
-    alone = patch_scene(hung)
-    bare = shot(alone, view_of(alone, lights=slanted))
-    above, below = (20, 32), (38, 32)
+    scene = scene_of(joined(hung, sheet), np.concatenate([hung.vertices, level]), far_ball())
+    shaded, bare = (shot(one, view_of(one, lights=slanted), 32) for one in (scene, patch_scene(hung)))
+    above, below = (10, 16), (19, 16)
     assert shaded[above][0] == pytest.approx(bare[above][0], abs=12)
     assert shaded[below][0] < 0.6 * bare[below][0]
 
@@ -103,152 +124,28 @@ def test_cloth_between_light_and_cloth_casts_a_shadow() -> None:
 def test_light_from_behind_leaves_opaque_cloth_darker_than_voile() -> None:
     scene = patch_scene()
     behind = Lights(np.array([0.0, 0.0, -1.0]), key=(1.0, 1.0, 1.0), sky=0.1)
-    opaque, voile = (
-        shot(scene, view_of(scene, cloth_of(plain(GREY), transmission=share), lights=behind))[32, 32]
-        for share in (0.0, 0.4)
-    )
-    assert voile.mean() > opaque.mean() + 20
+    cloths = [cloth_of(plain(GREY), transmission=share) for share in (0.0, 0.4)]
+    opaque, voile = shots(scene, [view_of(scene, cloth, lights=behind) for cloth in cloths], 16)
+    assert voile[8, 8].mean() > opaque[8, 8].mean() + 20
 
 
 def test_sheer_cloth_shows_what_lies_behind_it() -> None:
-    """White voile before a black and before a red sheet."""
+    """White voile before a black and before a red sheet; its sky does not depend on views that see the sheet bare."""
     front, back = hung_patch(), hung_patch()
-    both = joined(front, back)
-    scene = scene_of(both, np.concatenate([front.vertices + [0, 0, 10.0], back.vertices]), far_ball())
-
+    scene = scene_of(joined(front, back), np.concatenate([front.vertices + [0, 0, 10.0], back.vertices]), far_ball())
     views = [
         view_of(scene, cloth_of(plain(WHITE), translucency=sheerness), cloth_of(plain(behind)))
         for sheerness in (0.0, 0.5)
         for behind in (RED, BLACK)
     ]
-    over_red, over_black, through_red, through_black = (picture[32, 32] for picture in shots(scene, views))
+    aside = look_at(np.array([90.0, 100.0, 12.0]), np.array([0.0, 100.0, 0.0]), focal=4.0)
+    *pictures, _ = shots(scene, [*views, replace(views[2], camera=aside)], 16)
+    over_red, over_black, through_red, through_black = (picture[8, 8] for picture in pictures)
     assert np.abs(over_red - over_black).max() <= 3
     through = through_red - through_black
     assert through[0] > 20
     assert through[0] > 3 * abs(through[2])
-
-
-def test_a_stripe_covers_its_share_of_the_cloth() -> None:
-    """The mean light is that of the colours, weighted by their shares, whatever the size of the pixels."""
-    scene = patch_scene()
-    motif = Print(PrintKind.STRIPES, (BLACK, WHITE, GREY, GREY), period=2.0, fill=0.25)
-    colours = [view_of(scene, cloth_of(plain(colour))) for colour in (WHITE, BLACK)]
-    white, black = ((picture[32, 32] / 255) ** 2.2 for picture in shots(scene, colours))
-    for size in (16, 64):
-        picture = shot(scene, view_of(scene, cloth_of(motif), camera=ahead(focal=6.0)), size) / 255
-        middle = picture[size // 4 : -size // 4, size // 4 : -size // 4]
-        mean = (middle**2.2).mean(axis=(0, 1))
-        # On the coarse picture pixels hold several stripes: their light is averaged before the film's response.
-        assert mean == pytest.approx(0.25 * white + 0.75 * black, abs=0.06)
-
-
-def test_stripes_are_measured_in_centimetres_along_the_grain() -> None:
-    """Stripes of 4 cm on a patch of 20 cm: five along each row, and no change along the columns."""
-    scene = patch_scene()
-    motif = Print(PrintKind.STRIPES, (BLACK, WHITE, GREY, GREY), period=4.0, fill=0.5, matched=True)
-    picture = shot(scene, view_of(scene, cloth_of(motif)), 200)[..., 1]
-    light = picture[100, 20:180] > 128
-    assert np.count_nonzero(np.diff(light.astype(int)) == 1) in (4, 5)
-    assert np.ptp(picture[30:170, 105]) < 30
-
-
-def test_prints_repeat_to_the_left_of_the_panels_origin() -> None:
-    """Moved by 20 periods to either side, cloth looks the same."""
-    kinds = (PrintKind.STRIPES, PrintKind.CHECKS, PrintKind.TARTAN, PrintKind.DOTS)
-    motifs = [Print(kind, ((0.05, 0.05, 0.05), WHITE, RED, GREY), period=4.0, fill=0.3, matched=True) for kind in kinds]
-    mesh = hung_patch()
-    scenes = [patch_scene(replace(mesh, uv=mesh.uv + shift)) for shift in (0.0, 80.0, -80.0)]
-    here, right, left = (shots(scene, [view_of(scene, cloth_of(motif)) for motif in motifs]) for scene in scenes)
-    for kind, *pictures in zip(kinds, here, right, left, strict=True):
-        assert max(np.abs(pictures[0] - moved).max() for moved in pictures[1:]) <= 6, kind
-
-
-def test_prints_break_between_panels_that_are_not_matched() -> None:
-    one, other = hung_patch(5, 10), hung_patch(5, 10)
-    both = joined(one, other)
-    scene = scene_of(both, np.concatenate([one.vertices - [5.0, 0, 0], other.vertices + [5.0, 0, 0]]), far_ball())
-    pictures = [
-        shot(
-            scene,
-            view_of(
-                scene,
-                cloth_of(
-                    Print(PrintKind.STRIPES, (BLACK, WHITE, GREY, GREY), angle=np.pi / 2, matched=matched, seed=4)
-                ),
-            ),
-        )
-        for matched in (True, False)
-    ]
-    halves = [(p[16:48, 24, 1] > 128, p[16:48, 40, 1] > 128) for p in pictures]
-    assert (halves[0][0] == halves[0][1]).mean() > 0.95
-    assert (halves[1][0] == halves[1][1]).mean() < 0.9
-
-
-def test_an_image_tile_lies_upright_and_unmirrored() -> None:
-    """A tile of 20 cm that is red above and white below left, laid once on a patch of 20 cm."""
-    tile = np.full((2, 2, 3), 0.02)
-    tile[0, :] = (0.6, 0.02, 0.02)
-    tile[1, 0] = (0.8, 0.8, 0.8)
-    motif = Print(PrintKind.IMAGE, period=20.0, image=tile, matched=True)
-    scene = patch_scene()
-    picture = shot(scene, view_of(scene, cloth_of(motif)), 96)
-    upper, left, right = picture[26, 30], picture[70, 26], picture[70, 70]
-    assert upper[0] > 2 * upper[2]
-    assert left[2] > 150
-    assert right.max() < left.min() - 60
-
-
-def test_every_print_is_drawn() -> None:
-    """On cloth of one colour no motif shows; in four colours all but the plain one do."""
-    scene = patch_scene()
-    tile = np.linspace(0.0, 0.9, 48).reshape(4, 4, 3)
-    colours = ((0.1, 0.1, 0.1), (0.9, 0.2, 0.2), (0.2, 0.9, 0.2), (0.2, 0.2, 0.9))
-    motifs = [Print(kind, colours, period=5.0 if kind is PrintKind.DOTS else 12.0, image=tile) for kind in PrintKind]
-    for kind, picture in zip(PrintKind, shots(scene, [view_of(scene, cloth_of(one)) for one in motifs]), strict=True):
-        varied = picture[14:50, 14:50].std(axis=(0, 1)).max() > 6
-        assert varied == (kind not in (PrintKind.PLAIN, PrintKind.PANELS)), kind
-
-
-def test_every_place_fills_the_picture() -> None:
-    scene = ball_scene()
-    image = np.full((8, 16, 3), 0.4)
-    colours = ((0.8, 0.7, 0.6), (0.5, 0.4, 0.3), (0.3, 0.5, 0.4))
-    view = view_of(scene, camera=ahead(400.0, focal=1.5))
-    views = [replace(view, environment=Environment(kind, colours, image=image)) for kind in EnvironmentKind]
-    for kind, picture in zip(EnvironmentKind, shots(scene, views), strict=True):
-        assert picture.min() > 8, kind
-        assert picture[:3].std() < 60, kind
-
-
-def test_a_room_seen_from_outside_has_a_floor() -> None:
-    """The camera stands 6 m before a room of 2.4 m half width: the floor goes on to the picture's lower edge."""
-    place = Environment(EnvironmentKind.ROOM, ((0.8, 0.7, 0.6), (0.5, 0.4, 0.3), (0.3, 0.5, 0.4)), size=240.0)
-    scene = ball_scene()
-    picture = shot(scene, replace(view_of(scene, camera=ahead(600.0, focal=1.2)), environment=place))
-    assert picture[-4:].min() > 8
-
-
-def test_a_photograph_is_shown_as_it_is() -> None:
-    """Above and below the figure; under any lights."""
-    image = np.zeros((10, 10, 3))
-    image[:5], image[5:] = (0.2, 0.02, 0.02), (0.02, 0.02, 0.2)
-    place = Environment(EnvironmentKind.PHOTOGRAPH, image=image)
-    scene = ball_scene()
-    view = replace(view_of(scene, camera=ahead(400.0, focal=1.0)), environment=place)
-    picture = shot(scene, view)
-    assert np.abs(picture[4, 32] - [123, 39, 39]).max() <= 3
-    assert np.abs(picture[60, 32] - [39, 39, 123]).max() <= 3
-
-
-def test_a_panorama_lights_the_figure_from_its_bright_side() -> None:
-    """A panorama that is bright ahead of +x alone: the ball's side towards +x is the bright one."""
-    image = np.full((16, 32, 3), 0.02)
-    image[:, 22:26] = 4.0  # columns run from -z through +x... the middle column is -z
-    place = Environment(EnvironmentKind.PANORAMA, image=image)
-    unlit = Lights(np.array([0.0, 1.0, 0.0]), key=(0.0, 0.0, 0.0), sky=1.0)
-    scene = ball_scene()
-    picture = shot(scene, replace(view_of(scene, lights=unlit, camera=ahead(200.0)), environment=place))
-    assert picture[32, 40].mean() > picture[32, 24].mean() + 15
+    assert np.array_equal(shot(scene, views[2], 16), pictures[2])
 
 
 def test_the_floor_shows_the_figures_shadow() -> None:
@@ -257,10 +154,130 @@ def test_the_floor_shows_the_figures_shadow() -> None:
     lights = Lights(np.array([-0.6, 0.8, 0.0]), key=(0.9, 0.9, 0.9), key_size=0.02, sky=0.3)
     place = Environment(EnvironmentKind.SWEEP, ((0.7, 0.7, 0.7),) * 3, size=800.0)
     camera = ahead(400.0, focal=1.0)
-    picture = shot(scene, replace(view_of(scene, lights=lights, camera=camera), environment=place), 128)
+    picture = shot(scene, replace(view_of(scene, lights=lights, camera=camera), environment=place))
     # The shadow's middle lies 100 · 0.6 / 0.8 = 75 cm to the right of the foot point, on the floor.
-    right, left = camera.project(np.array([[75.0, 0.0, 0.0], [-75.0, 0.0, 0.0]]), 128).round().astype(int)
+    right, left = camera.project(np.array([[75.0, 0.0, 0.0], [-75.0, 0.0, 0.0]]), 64).round().astype(int)
     assert picture[right[1], right[0]].mean() < picture[left[1], left[0]].mean() - 30
+
+
+# ------------------------------------------------------------------------------------------------------------- prints
+
+
+@pytest.fixture(scope="module")
+def printed() -> dict[str, np.ndarray]:
+    """Prints on a patch, 96 pixels of 0.26 cm, in one rendering."""
+    tile = np.full((2, 2, 3), 0.02)
+    tile[0, :] = (0.6, 0.02, 0.02)
+    tile[1, 0] = (0.8, 0.8, 0.8)
+    colours = ((0.1, 0.1, 0.1), (0.9, 0.2, 0.2), (0.2, 0.9, 0.2), (0.2, 0.2, 0.9))
+    prints = {
+        "white": plain(WHITE),
+        "black": plain(BLACK),
+        "quarter": Print(PrintKind.STRIPES, (BLACK, WHITE, GREY, GREY), period=2.0, fill=0.25),
+        "grain": Print(PrintKind.STRIPES, (BLACK, WHITE, GREY, GREY), period=4.0, fill=0.5, matched=True),
+        "tile": Print(PrintKind.IMAGE, period=20.0, image=tile, matched=True),
+        **{
+            f"every {kind}": Print(
+                kind, colours, period=5.0 if kind is PrintKind.DOTS else 12.0, image=np.tile(tile, (2, 2, 1))
+            )
+            for kind in PrintKind
+        },
+    }
+    scene = patch_scene()
+    pictures = shots(scene, [view_of(scene, cloth_of(motif)) for motif in prints.values()], 96)
+    return dict(zip(prints, pictures, strict=True))
+
+
+def test_a_stripe_covers_its_share_of_the_cloth(printed: dict[str, np.ndarray]) -> None:
+    """The mean light is that of the colours, weighted by their shares, whatever the size of the pixels."""
+    scene = patch_scene()
+    coarse = shot(scene, view_of(scene, cloth_of(Print(PrintKind.STRIPES, (BLACK, WHITE, GREY, GREY), 2.0, 0.25))), 24)
+    white, black = ((printed[name][48, 48] / 255) ** 2.2 for name in ("white", "black"))
+    for picture in (printed["quarter"], coarse):
+        edge = len(picture) // 4
+        mean = ((picture[edge:-edge, edge:-edge] / 255) ** 2.2).mean(axis=(0, 1))
+        # On the coarse picture pixels hold several stripes: their light is averaged before the film's response.
+        assert mean == pytest.approx(0.25 * white + 0.75 * black, abs=0.06)
+
+
+def test_stripes_are_measured_in_centimetres_along_the_grain(printed: dict[str, np.ndarray]) -> None:
+    """Stripes of 4 cm on a patch of 20 cm: five along each row, and no change along the columns."""
+    picture = printed["grain"][..., 1]
+    light = picture[48, 10:86] > 128
+    assert np.count_nonzero(np.diff(light.astype(int)) == 1) in (4, 5)
+    assert np.ptp(picture[16:80, 51]) < 30
+
+
+def test_an_image_tile_lies_upright_and_unmirrored(printed: dict[str, np.ndarray]) -> None:
+    """A tile of 20 cm that is red above and white below left, laid once on a patch of 20 cm."""
+    picture = printed["tile"]
+    upper, left, right = picture[26, 30], picture[70, 26], picture[70, 70]
+    assert upper[0] > 2 * upper[2]
+    assert left[2] > 150
+    assert right.max() < left.min() - 60
+
+
+def test_every_print_is_drawn(printed: dict[str, np.ndarray]) -> None:
+    """On cloth of one colour no motif shows; in four colours all but the plain one do."""
+    for kind in PrintKind:
+        varied = printed[f"every {kind}"][20:76, 20:76].std(axis=(0, 1)).max() > 6
+        assert varied == (kind not in (PrintKind.PLAIN, PrintKind.PANELS)), kind
+
+
+def test_prints_repeat_to_the_left_of_the_panels_origin() -> None:
+    """Moved by 20 periods to either side, cloth looks the same."""
+    kinds = (PrintKind.STRIPES, PrintKind.CHECKS, PrintKind.TARTAN, PrintKind.DOTS)
+    motifs = [Print(kind, ((0.05, 0.05, 0.05), WHITE, RED, GREY), period=4.0, fill=0.3, matched=True) for kind in kinds]
+    mesh = hung_patch()
+    scenes = [patch_scene(replace(mesh, uv=mesh.uv + shift)) for shift in (0.0, 80.0, -80.0)]
+    pictures = [shots(scene, [view_of(scene, cloth_of(motif)) for motif in motifs], 48) for scene in scenes]
+    for kind, here, *moved in zip(kinds, *pictures, strict=True):
+        assert max(np.abs(here - other).max() for other in moved) <= 6, kind
+
+
+def test_prints_break_between_panels_that_are_not_matched() -> None:
+    one, other = hung_patch(5, 10), hung_patch(5, 10)
+    halves = np.concatenate([one.vertices - [5.0, 0, 0], other.vertices + [5.0, 0, 0]])
+    scene = scene_of(joined(one, other), halves, far_ball())
+    motif = Print(PrintKind.STRIPES, (BLACK, WHITE, GREY, GREY), angle=np.pi / 2, matched=True, seed=4)
+    views = [view_of(scene, cloth_of(one)) for one in (motif, replace(motif, matched=False))]
+    matched, shifted = (p[16:48, [24, 40], 1] > 128 for p in shots(scene, views))
+    assert (matched[:, 0] == matched[:, 1]).mean() > 0.95
+    assert (shifted[:, 0] == shifted[:, 1]).mean() < 0.9
+
+
+# ------------------------------------------------------------------------------------------------------------- places
+
+
+def test_places_fill_the_picture_and_light_the_figure() -> None:
+    """A room goes on to the lower edge for a camera outside; a photograph is shown as it is, under any lights.
+
+    A panorama that is bright ahead of +x alone: the ball's side towards +x is the bright one.
+    """
+    scene = ball_scene()
+    image, glow = np.zeros((10, 10, 3)), np.full((16, 32, 3), 0.02)
+    image[:5], image[5:] = (0.2, 0.02, 0.02), (0.02, 0.02, 0.2)
+    glow[:, 22:26] = 4.0  # columns run from -z through +x... the middle column is -z
+    colours = ((0.8, 0.7, 0.6), (0.5, 0.4, 0.3), (0.3, 0.5, 0.4))
+    view, grey = view_of(scene, camera=ahead(400.0, focal=1.5)), np.full((8, 16, 3), 0.4)
+    unlit = Lights(np.array([0.0, 1.0, 0.0]), key=(0.0, 0.0, 0.0), sky=1.0)
+    views = [replace(view, environment=Environment(kind, colours, image=grey)) for kind in EnvironmentKind]
+    room = Environment(EnvironmentKind.ROOM, colours, size=240.0)  # its half width; the camera stands 6 m away
+    views += [
+        replace(view, camera=ahead(600.0, focal=1.2), environment=room),
+        replace(view, camera=ahead(400.0, focal=1.0), environment=Environment(EnvironmentKind.PHOTOGRAPH, image=image)),
+        replace(view, lights=unlit, camera=ahead(200.0), environment=Environment(EnvironmentKind.PANORAMA, image=glow)),
+        replace(view, environment=DARK),
+    ]
+    *every, outside, photograph, lit, dark = shots(scene, views)
+    for kind, picture in zip(EnvironmentKind, every, strict=True):
+        assert picture.min() > 8, kind
+        assert picture[:3].std() < 60, kind
+    assert outside[-4:].min() > 8
+    assert np.abs(photograph[4, 32] - [123, 39, 39]).max() <= 3
+    assert np.abs(photograph[60, 32] - [39, 39, 123]).max() <= 3
+    assert lit[32, 40].mean() > lit[32, 24].mean() + 15
+    assert dark[2, 2].max() == 0
 
 
 def test_users_photographs_are_drawn() -> None:
@@ -271,54 +288,32 @@ def test_users_photographs_are_drawn() -> None:
     assert drawn.image is not None and np.array_equal(drawn.image, image)
 
 
+# ------------------------------------------------------------------------------------------------------------- limits
+
+
 def test_errors_name_the_remedy() -> None:
     scene, other = patch_scene(), patch_scene(joined(hung_patch(), hung_patch()))
     view = view_of(scene)
-    with pytest.raises(ConfigError, match="give a size of 1 or more"):
-        render([scene], [view], size=0, device="cpu")
-    with pytest.raises(ConfigError, match="unknown map 'colour': choose from depth"):
-        render([scene], [view], size=8, maps=("colour",), device="cpu")  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="view 0 is of scene 1"):
-        render([scene], [replace(view, scene=1)], size=8, device="cpu")
-    with pytest.raises(ConfigError, match="an appearance of 2 panels for a garment of 1"):
-        render([scene], [replace(view, appearance=look(other, cloth_of(plain(GREY))))], size=8, device="cpu")
-    with pytest.raises(ConfigError, match="names a cloth that is not there"):
-        bad = replace(view.appearance, cloth_of_panel=np.array([1]))
-        render([scene], [replace(view, appearance=bad)], size=8, device="cpu")
+    absent = replace(view.appearance, cloth_of_panel=np.array([1]))
+    for fault, changes, size, maps in (
+        ("give a size of 1 or more", {}, 0, ()),
+        ("unknown map 'colour': choose from depth", {}, 8, ("colour",)),
+        ("view 0 is of scene 1", {"scene": 1}, 8, ()),
+        ("appearance of 2 panels for a garment of 1", {"appearance": look(other, cloth_of(plain(GREY)))}, 8, ()),
+        ("names a cloth that is not there", {"appearance": absent}, 8, ()),
+    ):
+        with pytest.raises(ConfigError, match=fault):
+            render([scene], [replace(view, **changes)], size=size, maps=maps, device="cpu")  # type: ignore[arg-type]
+    broken = hung_patch().vertices.copy()
+    broken[3] = np.nan
+    with pytest.raises(ConfigError, match="its drape diverged"):
+        scene_of(hung_patch(), broken, far_ball())
 
 
-def test_no_views_give_no_pictures() -> None:
-    assert render([patch_scene()], [], size=8, device="cpu") == []
-
-
-def test_the_background_of_a_dark_place_is_black() -> None:
-    scene = patch_scene()
-    picture = shot(scene, replace(view_of(scene), environment=DARK))
-    assert picture[2, 2].max() == 0
-
-
-def test_a_body_without_a_garment_can_be_rendered() -> None:
-    scene = ball_scene()
-    nothing = replace(
-        scene,
-        vertices=np.zeros((0, 3)),
-        faces=np.zeros((0, 3), int),
-        uv=np.zeros((0, 2)),
-        corners=np.zeros((0, 3), int),
-        uv_vertex=np.zeros(0, int),
-        panel_id=np.zeros(0, int),
-        panel_names=(),
-        panel_labels=(),
-    )
+def test_a_figure_without_a_garment_and_a_scene_without_views() -> None:
+    nothing = figure_scene(ball_scene().body)
     [view] = draw_views(0, 0, nothing, 1)
     [picture] = render([nothing], [view], size=32, maps=MAPS, device="cpu")
     assert (picture.maps["panel_id"] == -1).all()
     assert (picture.maps["silhouette"] > 0).any()
-
-
-def test_a_diverged_drape_is_refused() -> None:
-    mesh = hung_patch()
-    broken = mesh.vertices.copy()
-    broken[3] = np.nan
-    with pytest.raises(ConfigError, match="its drape diverged"):
-        scene_of(mesh, broken, far_ball())
+    assert render([nothing], [], size=8, device="cpu") == []

@@ -8,12 +8,12 @@ import pytest
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS
 from gcd_dataset.generator.render import (
+    Appearance,
     AppearanceRanges,
     CameraRanges,
     HairStyle,
     PrintKind,
     Ranges,
-    View,
     draw_appearance,
     draw_camera,
     draw_hair,
@@ -23,10 +23,9 @@ from gcd_dataset.generator.render import (
     render,
 )
 from gcd_dataset.generator.render.appearance import MONK_TONES
+from gcd_dataset.generator.render.environment import tint, white_balance
 from gcd_dataset.generator.render.images import linear_light
-from gcd_dataset.generator.render.lights import tint, white_balance
-from gcd_dataset.generator.render.looks import LOOKS, LOOKS_OF_FABRIC
-from gcd_dataset.generator.render.materials import parts_of
+from gcd_dataset.generator.render.materials import LOOKS, LOOKS_OF_FABRIC, parts_of
 from gcd_dataset.generator.render.packing import skin_albedo
 from tests.generator.render.scenes import ahead, ball_scene, cloth_of, hung_patch, look, patch_scene, plain
 from tests.helpers import joined
@@ -40,31 +39,43 @@ def test_views_depend_on_their_numbers_alone() -> None:
     assert draw_views(7, 3, scene, 2) == first[:2]
     others = [draw_views(8, 3, scene, 1), draw_views(7, 4, scene, 1), draw_views(7, 3, scene, 1, epoch=1)]
     assert all(other[0] != first[0] for other in others)
-    assert len({view.appearance is first[0].appearance for view in first}) == 1
-    cameras: list[View] = first
-    assert len({tuple(view.camera.eye.tolist()) for view in cameras}) == 4
+    assert all(view.appearance is first[0].appearance for view in first)
+    assert len({tuple(view.camera.eye.tolist()) for view in first}) == 4
 
 
-def test_prints_and_looks_that_are_held_out_are_not_drawn() -> None:
-    ranges = AppearanceRanges(prints=(PrintKind.STRIPES, PrintKind.DOTS), looks=("poplin", "jersey"), plain=0.2)
+def drawn(count: int, ranges: AppearanceRanges | None = None, fabric: str | None = None) -> list[Appearance]:
     scene = patch_scene()
-    drawn = [draw_appearance(np.random.default_rng(k), scene, ranges=ranges).cloths[0] for k in range(60)]
-    assert {cloth.print.kind for cloth in drawn} == {PrintKind.PLAIN, PrintKind.STRIPES, PrintKind.DOTS}
-    assert {cloth.look for cloth in drawn} == {"poplin", "jersey"}
+    return [draw_appearance(np.random.default_rng(k), scene, fabric=fabric, ranges=ranges) for k in range(count)]
 
 
-def test_a_tile_of_the_users_is_drawn() -> None:
+def test_appearances_are_drawn_from_their_ranges() -> None:
+    """All ten tones, always underwear; no print and kind of cloth that is held out; users' tiles."""
+    looks = drawn(100)
+    assert {look.skin.tone for look in looks} == set(range(1, len(MONK_TONES) + 1))
+    assert all(look.underwear is not None for look in looks)
+    few = AppearanceRanges(prints=(PrintKind.STRIPES, PrintKind.DOTS), looks=("poplin", "jersey"), plain=0.2)
+    cloths = [look.cloths[0] for look in drawn(60, few)]
+    assert {cloth.print.kind for cloth in cloths} == {PrintKind.PLAIN, PrintKind.STRIPES, PrintKind.DOTS}
+    assert {cloth.look for cloth in cloths} == {"poplin", "jersey"}
     tile = np.zeros((2, 2, 3))
-    ranges = AppearanceRanges(tiles=(tile,), images=1.0)
-    cloth = draw_appearance(np.random.default_rng(0), patch_scene(), ranges=ranges).cloths[0]
-    assert cloth.print.kind is PrintKind.IMAGE
-    assert cloth.print.image is not None and np.array_equal(cloth.print.image, tile)
+    [tiled] = drawn(1, AppearanceRanges(tiles=(tile,), images=1.0))
+    motif = tiled.cloths[0].print
+    assert motif.kind is PrintKind.IMAGE
+    assert motif.image is not None and np.array_equal(motif.image, tile)
+    for fault, ranges in (
+        ("give some of 1 to 10", AppearanceRanges(tones=(0,))),
+        ("unknown looks tweed: choose from poplin", AppearanceRanges(looks=("tweed",))),
+    ):
+        with pytest.raises(ConfigError, match=fault):
+            drawn(1, ranges)
+    together = Ranges(appearance=AppearanceRanges(tones=(3,)), camera=CameraRanges(yaw=(0.0, 0.0), crop=1.0))
+    [view] = draw_views(0, 0, patch_scene(), 1, ranges=together)
+    assert view.appearance.skin.tone == 3
+    assert view.camera.eye[2] > 0
 
 
 def test_cloth_suits_the_fabric_that_was_draped() -> None:
-    scene = patch_scene()
-    looks = {draw_appearance(np.random.default_rng(k), scene, fabric="denim").cloths[0].look for k in range(10)}
-    assert looks == {"denim"}
+    assert {look.cloths[0].look for look in drawn(10, fabric="denim")} == {"denim"}
     assert set(LOOKS_OF_FABRIC) <= set(FABRICS)
     assert all(set(names) <= set(LOOKS) for names in LOOKS_OF_FABRIC.values())
 
@@ -73,17 +84,6 @@ def test_pieces_that_are_not_sewn_together_have_cloths_of_their_own() -> None:
     scene = patch_scene(joined(hung_patch(), hung_patch()))
     assert parts_of(scene)[0].tolist() == [0, 1]
     assert len(set(draw_appearance(np.random.default_rng(0), scene).cloth_of_panel.tolist())) == 2
-
-
-def test_all_ten_tones_are_drawn_and_others_refused() -> None:
-    scene = patch_scene()
-    tones = {draw_appearance(np.random.default_rng(k), scene).skin.tone for k in range(120)}
-    assert tones == set(range(1, 11))
-    assert len(MONK_TONES) == 10
-    with pytest.raises(ConfigError, match="give some of 1 to 10"):
-        draw_appearance(np.random.default_rng(0), scene, ranges=AppearanceRanges(tones=(0,)))
-    with pytest.raises(ConfigError, match="unknown looks tweed: choose from poplin"):
-        draw_appearance(np.random.default_rng(0), scene, ranges=AppearanceRanges(looks=("tweed",)))
 
 
 def test_skin_is_neither_chalk_nor_coal_and_warm_on_all_tones() -> None:
@@ -95,31 +95,18 @@ def test_skin_is_neither_chalk_nor_coal_and_warm_on_all_tones() -> None:
     assert (albedos[:, 0] > 1.3 * albedos[:, 1]).all() and (albedos[:, 1] > 1.3 * albedos[:, 2]).all()
 
 
-def test_nobody_is_drawn_without_underwear() -> None:
-    scene = patch_scene()
-    assert all(draw_appearance(np.random.default_rng(k), scene).underwear is not None for k in range(40))
-
-
-def test_drawn_cameras_hold_the_whole_figure() -> None:
-    """Without crops, every point of the figure lies in the picture."""
-    scene = ball_scene()
-    for k in range(40):
-        camera = draw_camera(np.random.default_rng(k), scene, ranges=CameraRanges(crop=0.0, offset=(0.0, 0.0)))
-        pixels = camera.project(np.concatenate([scene.vertices, scene.body.vertices]), 100)
-        assert 30 < np.abs(pixels - 49.5).max() < 50, k
-        assert camera.rotation @ camera.rotation.T == pytest.approx(np.eye(3), abs=1e-9)
-
-
-def test_lights_stand_on_the_cameras_side() -> None:
-    """The key light of the default ranges never shines from behind the figure."""
+def test_drawn_cameras_hold_the_figure_and_lights_stand_on_their_side() -> None:
+    """Without crops, every point of the figure lies in the picture; the key never shines from behind the figure."""
     scene = ball_scene()
     for k in range(40):
         rng = np.random.default_rng(k)
-        camera = draw_camera(rng, scene)
-        lights = draw_lights(rng, camera)
-        towards = -camera.rotation[2] * [1, 0, 1]
-        assert float(lights.key_direction @ towards) > 0
-        assert np.linalg.norm(lights.key_direction) == pytest.approx(1.0)
+        camera = draw_camera(rng, scene, ranges=CameraRanges(crop=0.0, offset=(0.0, 0.0)))
+        pixels = camera.project(np.concatenate([scene.vertices, scene.body.vertices]), 100)
+        assert 30 < np.abs(pixels - 49.5).max() < 50, k
+        assert camera.rotation @ camera.rotation.T == pytest.approx(np.eye(3), abs=1e-9)
+        key = draw_lights(rng, camera).key_direction
+        assert float(key @ (-camera.rotation[2] * [1, 0, 1])) > 0
+        assert np.linalg.norm(key) == pytest.approx(1.0)
 
 
 def test_warm_light_is_red_and_cold_light_blue() -> None:
@@ -135,16 +122,12 @@ def test_grey_cloth_looks_grey_in_every_drawn_view() -> None:
     lit more by the key or more by the surroundings.
     """
     scene = patch_scene()
-    cloth = look(scene, cloth_of(plain((0.5, 0.5, 0.5))))
-    casts = []
-    for k in range(60):
-        camera = CameraRanges(yaw=(-30.0, 30.0), crop=1.0)
-        drawn = draw_view(np.random.default_rng(k), scene, cloth, ranges=Ranges(camera=camera))
-        view = replace(drawn, camera=ahead(60.0), lights=replace(drawn.lights, exposure=0.6))
-        middle = render([scene], [view], size=16, device="cpu")[0].rgb[6:10, 6:10]
-        red, green, blue = linear_light(middle.astype(float) / 255).mean(axis=(0, 1))
-        casts.append([np.log(red / green), np.log(blue / green)])
-    assert 0.02 < np.abs(casts).max() < 0.2
+    cloth, ranges = look(scene, cloth_of(plain((0.5, 0.5, 0.5)))), Ranges(camera=CameraRanges(yaw=(-30, 30), crop=1.0))
+    drawn = [draw_view(np.random.default_rng(k), scene, cloth, ranges=ranges) for k in range(60)]
+    views = [replace(view, camera=ahead(60.0), lights=replace(view.lights, exposure=0.6)) for view in drawn]
+    middles = np.stack([picture.rgb[3:5, 3:5] for picture in render([scene], views, size=8, device="cpu")])
+    red, green, blue = linear_light(middles / 255).mean(axis=(1, 2)).T
+    assert 0.02 < np.abs(np.log([red / green, blue / green])).max() < 0.2
 
 
 def test_white_balance_leaves_casts_within_its_bound() -> None:
@@ -158,14 +141,6 @@ def test_white_balance_leaves_casts_within_its_bound() -> None:
     assert white_balance(tungsten, left=0.7, cast=0.0)[1] == pytest.approx(tungsten.mean())
     slight = np.array([1.01, 1.0, 0.99])
     assert white_balance(slight, left=1.0, cast=0.1)[1] == pytest.approx(slight, abs=1e-3)
-
-
-def test_ranges_may_be_given_together() -> None:
-    scene = patch_scene()
-    ranges = Ranges(appearance=AppearanceRanges(tones=(3,)), camera=CameraRanges(yaw=(0.0, 0.0), crop=1.0))
-    [view] = draw_views(0, 0, scene, 1, ranges=ranges)
-    assert view.appearance.skin.tone == 3
-    assert view.camera.eye[2] > 0
 
 
 def test_hair_is_a_function_of_seed_index_and_epoch() -> None:

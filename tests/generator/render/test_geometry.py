@@ -7,52 +7,42 @@ import pytest
 import trimesh
 
 from gcd_dataset.generator.body import build_body, draw_shape, neutral_shape
+from gcd_dataset.generator.body.landmarks import model_landmarks
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.render import Camera, HairStyle, Scene, look_at, render, scene_of
+from gcd_dataset.generator.render import HairStyle, Scene, look_at, render, scene_of
 from gcd_dataset.generator.render.figure import body_masks, eyeballs, hair_shell
-from gcd_dataset.generator.render.geometry import HEM, solid_of
+from gcd_dataset.generator.render.geometry import HEM, PanelBorders, solid_of
 from gcd_dataset.generator.render.pictures import HAIR
-from gcd_dataset.records import Body, BodyPart
+from gcd_dataset.records import Body, BodyPart, BoxMesh
 from tests.generator.render.scenes import view_of
 from tests.helpers import body_from, far_ball, joined, napkins, patch, tube
 
 
-def test_the_border_of_a_patch_is_its_perimeter() -> None:
-    mesh = patch(5, 3, spacing=2.0)
-    borders = solid_of(scene_of(mesh, mesh.vertices, far_ball())).borders
-    assert len(borders.ends) == 2 * (5 + 3)
+def borders_of(mesh: BoxMesh) -> PanelBorders:
+    return solid_of(scene_of(mesh, mesh.vertices, far_ball())).borders
+
+
+def test_the_border_of_panels_is_their_perimeter() -> None:
+    """Two squares of 4 × 10 cm and 4 × 3 cm, 5 segments a side: lengths begin at each."""
+    borders = borders_of(joined(patch(5, 5, spacing=2.0), patch(5, 5, spacing=0.6)))
     assert (borders.seam == HEM).all()
-    # The last segment of the loop begins one spacing before the end.
-    assert borders.along.max() == pytest.approx(2 * (10.0 + 6.0) - 2.0)
-    assert sorted(borders.along.tolist()) == pytest.approx(np.arange(0.0, 32.0, 2.0).tolist())
-
-
-def test_seams_are_found_on_both_panels() -> None:
-    """Napkins of 20 × 10 cm, sewn along 10 cm."""
-    mesh = build_box_mesh(napkins(), spacing=1.0)
-    borders = solid_of(scene_of(mesh, mesh.vertices, far_ball())).borders
-    lengths = np.linalg.norm(mesh.uv[borders.ends[:, 1]] - mesh.uv[borders.ends[:, 0]], axis=1)
-    assert lengths[borders.seam == 0].sum() == pytest.approx(2 * 10.0, rel=1e-3)
-    assert lengths[borders.seam == HEM].sum() == pytest.approx(2 * 50.0, rel=1e-3)
-    assert borders.first.tolist() == [0, (borders.first[1]), len(borders.ends)]
-
-
-def test_a_tube_without_a_listed_seam_has_one_all_the_same() -> None:
-    """Its two long edges share their vertices: a seam whose row is not known, and hems above and below."""
-    mesh = tube(12, 4, radius=5.0)
-    borders = solid_of(scene_of(mesh, mesh.vertices, far_ball())).borders
-    assert (borders.seam == -1).sum() == 2 * 4
-    assert (borders.seam == HEM).sum() == 2 * 12
-
-
-def test_lengths_along_two_loops_begin_at_each() -> None:
-    """Two squares in one list: 4 × 10 cm and 4 × 3 cm, 5 segments a side."""
-    one, other = patch(5, 5, spacing=2.0), patch(5, 5, spacing=0.6)
-    both = joined(one, other)
-    borders = solid_of(scene_of(both, both.vertices, far_ball())).borders
     assert borders.first.tolist() == [0, 20, 40]
     assert sorted(borders.along[:20].tolist()) == pytest.approx(np.arange(0.0, 40.0, 2.0).tolist())
     assert sorted(borders.along[20:].tolist()) == pytest.approx(np.arange(0.0, 12.0, 0.6).tolist())
+    one = borders_of(patch(1, 1))
+    assert sum(int(flag).bit_count() for flag in one.flags) == 4
+    assert all(flag & 0b111 == 0 for flag in one.flags.tolist())
+
+
+def test_seams_are_found_on_both_panels() -> None:
+    """Napkins of 20 × 10 cm, sewn along 10 cm; a tube whose long edges share vertices has a seam of unknown row."""
+    mesh = build_box_mesh(napkins(), spacing=1.0)
+    borders = borders_of(mesh)
+    lengths = np.linalg.norm(mesh.uv[borders.ends[:, 1]] - mesh.uv[borders.ends[:, 0]], axis=1)
+    assert lengths[borders.seam == 0].sum() == pytest.approx(2 * 10.0, rel=1e-3)
+    assert lengths[borders.seam == HEM].sum() == pytest.approx(2 * 50.0, rel=1e-3)
+    round_tube = borders_of(tube(12, 4, radius=5.0)).seam
+    assert ((round_tube == -1).sum(), (round_tube == HEM).sum()) == (2 * 4, 2 * 12)
 
 
 def test_faces_of_a_solid_count_over_all_parts() -> None:
@@ -83,28 +73,24 @@ def test_panel_corners_are_rows_of_their_own_panel() -> None:
             assert scene.panel_of_row[row] == panel
 
 
-def test_edge_flags_mark_the_edges_of_faces() -> None:
-    mesh = patch(1, 1)
-    borders = solid_of(scene_of(mesh, mesh.vertices, far_ball())).borders
-    assert sum(int(flag).bit_count() for flag in borders.flags) == 4
-    assert all(flag & 0b111 == 0 for flag in borders.flags.tolist())
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_underwear_covers_hips_and_breasts_of_any_body(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(3))
+def test_underwear_and_eyes_suit_any_body(seed: int) -> None:
+    """Briefs cover the hips, the top the breasts; eyes lie in their sockets."""
     body = build_body(draw_shape(np.random.default_rng(seed)))
-    masks = body_masks(body)
-    y = body.vertices[:, 1]
+    masks, y = body_masks(body), body.vertices[:, 1]
     trunk = body.parts == BodyPart.TRUNK.value
-    crotch = y[trunk].min()
-    assert (masks.briefs[trunk & (y < crotch + 4.0)] > 0).all()
+    assert (masks.briefs[trunk & (y < y[trunk].min() + 4.0)] > 0).all()
     limbs = np.isin(body.parts, [BodyPart.HANDS.value, BodyPart.FEET.value, BodyPart.HEAD.value])
     assert (masks.briefs[limbs] < 0).all() and (masks.top[limbs] < 0).all()
-    from gcd_dataset.generator.body.landmarks import model_landmarks
-
     for name in ("bust_right", "bust_left"):
         nearest = np.linalg.norm(body.vertices - model_landmarks(body.vertices).points[name], axis=1).argmin()
         assert masks.top[nearest] > 2.0
+    eyes = eyeballs(body)
+    (right, left), balls = eyes.centres, trimesh.Trimesh(eyes.vertices, eyes.faces, process=False)
+    assert right[0] < -1.5 < 1.5 < left[0]
+    assert right[1] == pytest.approx(left[1], abs=0.2)
+    assert np.linalg.norm(eyes.vertices[: len(eyes.vertices) // 2] - right, axis=1) == pytest.approx(eyes.radius)
+    assert balls.volume == pytest.approx(2 * 4 / 3 * np.pi * eyes.radius**3, rel=0.25)
 
 
 def test_hair_lies_on_the_head_and_leaves_the_face_free() -> None:
@@ -122,15 +108,24 @@ def test_hair_lies_on_the_head_and_leaves_the_face_free() -> None:
 
 def test_hair_stays_under_a_hood() -> None:
     """Of a head in cloth that lies 0.6 cm off its skin, no camera sees hair; without the cloth, all do."""
+    under, bare = hair_pixels(HairStyle.FULL)
+    assert max(under) == 0
+    assert min(bare) > 28
+
+
+def hair_pixels(style: HairStyle) -> tuple[list[int], list[int]]:
+    """Pixels of hair from five sides: of a head in a hood, and of a bare head."""
     body, middle = build_body(neutral_shape()), np.array([0, 155.0, 0])
-    cameras = [
-        look_at(np.array([200 * np.sin(angle), 200.0, 200 * np.cos(angle)]), middle, focal=6)
-        for angle in (0.6, 1.8, 3.1, 4.4, 5.7)
+    eyes = [np.array([200 * np.sin(angle), 200.0, 200 * np.cos(angle)]) for angle in (0.6, 1.8, 3.1, 4.4, 5.7)]
+    scenes = [hooded(body, style), bare_head(body, style)]
+    views = [
+        replace(view_of(scene, camera=look_at(eye, middle, focal=6)), scene=row)
+        for row, scene in enumerate(scenes)
+        for eye in eyes
     ]
-    for style in (HairStyle.CROPPED, HairStyle.SHORT, HairStyle.FULL):
-        hair = [hair_pixels(scene, cameras) for scene in (hooded(body, style), bare_head(body, style))]
-        assert max(hair[0]) == 0
-        assert min(hair[1]) > 50
+    pictures = render(scenes, views, size=48, maps=("part",), device="cpu")
+    hair = [int((picture.maps["part"] == HAIR).sum()) for picture in pictures]
+    return hair[:5], hair[5:]
 
 
 def hooded(body: Body, style: HairStyle) -> Scene:
@@ -151,23 +146,6 @@ def bare_head(body: Body, style: HairStyle) -> Scene:
     """A body and, far from its head, a patch of cloth."""
     mesh = patch(1, 1)
     return scene_of(mesh, mesh.vertices, body, hair=style)
-
-
-def hair_pixels(scene: Scene, cameras: list[Camera]) -> list[int]:
-    views = [view_of(scene, camera=camera) for camera in cameras]
-    pictures = render([scene], views, size=64, maps=("part",), device="cpu")
-    return [int((picture.maps["part"] == HAIR).sum()) for picture in pictures]
-
-
-def test_eyes_lie_in_the_sockets_of_any_body() -> None:
-    for seed in range(3):
-        body = build_body(draw_shape(np.random.default_rng(seed)))
-        eyes = eyeballs(body)
-        (right, left), ball = eyes.centres, trimesh.Trimesh(eyes.vertices, eyes.faces, process=False)
-        assert right[0] < -1.5 < 1.5 < left[0]
-        assert right[1] == pytest.approx(left[1], abs=0.2)
-        assert np.linalg.norm(eyes.vertices[: len(eyes.vertices) // 2] - right, axis=1) == pytest.approx(eyes.radius)
-        assert ball.volume == pytest.approx(2 * 4 / 3 * np.pi * eyes.radius**3, rel=0.25)
 
 
 def test_a_body_without_a_head_has_neither_hair_nor_eyes() -> None:

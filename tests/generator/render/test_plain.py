@@ -1,4 +1,4 @@
-"""Shapes, sides, colours and shading of renders agree with the geometry."""
+"""Plain pictures: shapes, sides, colours and shading agree with the geometry."""
 
 import io
 from dataclasses import replace
@@ -12,26 +12,19 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.lay_plan import PAPER
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.generator.render import (
-    ColouredMesh,
-    garment_scene,
-    render_garment,
-    render_sample,
-    render_view,
-)
-from gcd_dataset.generator.render.plain_batch import DISTANCE, MARGIN, View, start_render
-from gcd_dataset.records import Drape, Outcome, Provenance, Sample
-from tests.helpers import SIZE, body_from, napkins, patch
+from gcd_dataset.generator.render import draw_views, garment_scene, render, render_garment, render_sample, render_view
+from gcd_dataset.generator.render.cameras import FIXED_DISTANCE, FIXED_MARGIN
+from gcd_dataset.generator.render.plain import SIDES, plain_view, start_plain
+from gcd_dataset.generator.render.scene import figure_scene
+from gcd_dataset.records import BoxMesh, Drape, Outcome, Provenance, Sample
+from tests.helpers import SIZE, body_from, joined, napkins, patch
 
-GARMENTS = MakeConfig(stage="mesh", bodies="both", resolution=10.0)
-VIEWS: tuple[View, View] = ("front", "back")
-RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9)
+BALL = body_from(trimesh.creation.icosphere(subdivisions=3, radius=5.0))
 
 
-def coloured(
-    shape: trimesh.Trimesh, colour_of_face: np.ndarray, *colours: tuple[float, float, float]
-) -> list[ColouredMesh]:
-    return [ColouredMesh(np.asarray(shape.vertices, float), np.asarray(shape.faces), colour_of_face, np.array(colours))]
+def apron() -> BoxMesh:
+    """Two panels before the ball: the first, blue, at the wearer's left, the second, orange, at the right."""
+    return joined(patch(6, 12, spacing=2.0, origin=(0.0, -12.0, 8.0)), patch(6, 12, spacing=2.0, origin=(-12, -12, 8)))
 
 
 def is_paper(picture: np.ndarray) -> np.ndarray:
@@ -39,44 +32,26 @@ def is_paper(picture: np.ndarray) -> np.ndarray:
 
 
 def test_a_ball_fills_its_circle() -> None:
-    """From distance d, a ball of radius r is a disc of angular radius asin(r / d)."""
+    """From distance d, a ball of radius r is a disc of angular radius asin(r / d), with an antialiased border."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=20.0)
-    picture = render_view(coloured(ball, np.zeros(len(ball.faces), int), RED), size=128, device="cpu")
-    share = 1 - is_paper(picture).mean()
-    radius = np.tan(np.arcsin(20.0 / DISTANCE)) * (DISTANCE - 20.0) / (MARGIN * 20.0)  # in units of half the picture
-    assert share == pytest.approx(np.pi / 4 * radius**2, abs=0.01)
+    picture = render_view(figure_scene(body_from(ball)), size=128, device="cpu")
+    radius = np.tan(np.arcsin(20 / FIXED_DISTANCE)) * (FIXED_DISTANCE - 20) / (FIXED_MARGIN * 20)  # of half the picture
+    assert 1 - is_paper(picture).mean() == pytest.approx(np.pi / 4 * radius**2, abs=0.01)
+    row = picture[40, :, 0].astype(int)
+    assert np.count_nonzero((row > row[64] + 10) & (row < PAPER[0] - 10)) in (1, 2)
 
 
-def test_front_and_back_show_their_own_sides() -> None:
-    box = trimesh.creation.box(extents=(20.0, 20.0, 4.0))
-    at_back = np.asarray(box.triangles_center)[:, 2] < -1.0
-    scene = coloured(box, at_back.astype(int), RED, BLUE)
-    front, back = (render_view(scene, size=64, view=view, device="cpu")[32, 32] for view in ("front", "back"))
-    assert front[0] > 2 * front[2]
-    assert back[2] > 2 * back[0]
-
-
-def test_left_is_the_wearers_left() -> None:
-    """The wearer's left, +x, is on the right of the front view and on the left of the back view."""
-    box = trimesh.creation.box(extents=(20.0, 20.0, 4.0))
-    left = trimesh.creation.box(extents=(4.0, 4.0, 6.0))
-    left.apply_translation([8.0, 0.0, 0.0])
-    both = trimesh.util.concatenate([box, left])
-    scene = coloured(both, np.repeat([0, 1], [len(box.faces), len(left.faces)]), RED, BLUE)
-    front, back = (render_view(scene, size=96, view=view, device="cpu").astype(int) for view in ("front", "back"))
-    assert np.nonzero(front[..., 2] > front[..., 0] + 40)[1].mean() > 64
-    assert np.nonzero(back[..., 2] > back[..., 0] + 40)[1].mean() < 32
-
-
-def test_cloth_hides_the_body_and_its_wrong_side_is_darker() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
-    cloth = patch(12, 12, spacing=2.0, origin=(-12.0, -12.0, 8.0))
-    scene = garment_scene(cloth.vertices, cloth, body_from(ball))
-    front = render_view(scene, size=64, view="front", device="cpu")[32, 32].astype(int)
-    behind = [replace(mesh, vertices=mesh.vertices - [0, 0, 16.0]) for mesh in scene]
-    inside = render_view(behind, size=64, view="back", device="cpu")
-    assert front[2] > front[0]  # the first panel's colour is blue, unlike skin
-    assert inside[8, 8].sum() < 0.8 * front.sum()
+def test_sides_colours_and_the_wrong_side_of_cloth() -> None:
+    """The wearer's left is on the right of the front view; cloth hides the body; behind, it is darker."""
+    mesh = apron()
+    front, back = (side.astype(int) for side in render_garment(mesh.vertices, mesh, BALL, size=64, device="cpu"))
+    for picture, left in ((front, 1), (back, -1)):
+        blue, orange = picture[..., 2] > picture[..., 0] + 15, picture[..., 0] > picture[..., 2] + 25
+        assert (np.nonzero(blue)[1].mean() - 32) * left > 5
+        assert (np.nonzero(orange)[1].mean() - 32) * left < -5
+    assert not is_paper(front)[24:40, 24:40].any()
+    assert np.ptp(back[32, 32]) < 30  # skin
+    assert back[8, 16].sum() < 0.8 * front[8, 48].sum()  # the same cloth
 
 
 def test_a_corner_that_sees_little_sky_is_darker() -> None:
@@ -86,79 +61,40 @@ def test_a_corner_that_sees_little_sky_is_darker() -> None:
         open_plate = open_plate.subdivide()
     lid = trimesh.creation.box(extents=(20.0, 40.0, 1.0))
     lid.apply_translation([-10.0, 0.0, 4.0])
-    covered = trimesh.util.concatenate([open_plate, lid])
     bare, shaded = (
-        render_view(coloured(shape, np.zeros(len(shape.faces), int), RED), size=64, device="cpu")
-        for shape in (open_plate, covered)
+        render_view(figure_scene(body_from(shape)), size=64, device="cpu")[..., 0].astype(int)
+        for shape in (open_plate, trimesh.util.concatenate([open_plate, lid]))
     )
-    beside_the_lid, far_from_it = (32, 34), (32, 52)
-    assert int(shaded[beside_the_lid][0]) < int(bare[beside_the_lid][0]) - 10
-    assert shaded[far_from_it][0] == pytest.approx(bare[far_from_it][0], abs=3)
-
-
-def test_render_garment_returns_front_and_back_views() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
-    cloth = patch(6, 6, spacing=2.0, origin=(-6.0, -6.0, 8.0))
-    scene = garment_scene(cloth.vertices, cloth, body_from(ball))
-    front, back = render_garment(cloth.vertices, cloth, body_from(ball), size=32, device="cpu")
-    assert np.array_equal(front, render_view(scene, size=32, view="front", device="cpu"))
-    assert np.array_equal(back, render_view(scene, size=32, view="back", device="cpu"))
+    beside_the_lid, far_from_it = (32, 34), (32, 58)
+    assert shaded[beside_the_lid] < bare[beside_the_lid] - 10
+    assert shaded[far_from_it] == pytest.approx(bare[far_from_it], abs=3)
 
 
 def test_a_garment_looks_the_same_alone_as_among_others() -> None:
-    wearers = prepare(1, 1, GARMENTS).dressed
+    """Also beside drawn views of the same scene."""
+    wearers = prepare(1, 1, MakeConfig(stage="mesh", bodies="both", resolution=10.0)).dressed
     scenes = [garment_scene(one.box_mesh.vertices, one.box_mesh, one.body) for one in wearers if one.box_mesh]
-    assert len(scenes) == 2
-    together = start_render(scenes, ["back", "front"], size=48, device="cpu").pictures()
-    for scene, (back, front) in zip(scenes, together, strict=True):
-        assert np.array_equal(back, render_view(scene, size=48, view="back", device="cpu"))
-        assert np.array_equal(front, render_view(scene, size=48, view="front", device="cpu"))
+    together = start_plain(scenes, size=48, device="cpu").pictures()
+    drawn, beside = render(scenes, [*draw_views(1, 1, scenes[1], 1, row=1), plain_view(scenes[1], row=1)], size=48)
+    alone = [render_view(scene, size=48, view=side, device="cpu") for scene, side in zip(scenes, SIDES, strict=True)]
+    assert [np.array_equal(together[k].rgb, one) for k, one in zip((0, 3), alone, strict=True)] == [True, True]
+    assert np.array_equal(beside.rgb, together[2].rgb)
+    assert not is_paper(drawn.rgb).all()
 
 
-def test_meshes_of_a_scene_render_like_their_union() -> None:
-    """They hide and shade each other like parts of one mesh."""
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
-    cloth = patch(6, 6, spacing=2.0, origin=(-6.0, -6.0, 8.0))
-    skin, garment = garment_scene(cloth.vertices, cloth, body_from(ball))
-    union = ColouredMesh(
-        np.concatenate([skin.vertices, garment.vertices]),
-        np.concatenate([skin.faces, garment.faces + len(skin.vertices)]),
-        np.concatenate([skin.colour_of_face, garment.colour_of_face + len(skin.colours)]),
-        np.concatenate([skin.colours, garment.colours]),
-    )
-    for view in VIEWS:
-        apart, whole = (render_view(s, size=64, view=view, device="cpu") for s in ([skin, garment], [union]))
-        assert np.array_equal(apart, whole)
-
-
-def test_repeated_renders_have_the_same_pixels() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
-    scene = coloured(ball, np.arange(len(ball.faces)) % 2, RED, BLUE)
-    first, second = (render_view(scene, size=48, device="cpu") for _ in range(2))
-    assert np.array_equal(first, second)
-
-
-def test_silhouettes_are_antialiased() -> None:
-    """Along the edge of a ball there are pixels between its colour and the paper."""
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=20.0)
-    row = render_view(coloured(ball, np.zeros(len(ball.faces), int), RED), size=64, device="cpu")[20].astype(int)
-    green = row[:, 1]
-    assert ((green > 60) & (green < 230)).any()
-
-
-def test_a_picture_of_size_zero_is_an_error() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=1, radius=20.0)
-    with pytest.raises(ConfigError, match="0 pixels"):
-        render_view(coloured(ball, np.zeros(len(ball.faces), int), RED), size=0, device="cpu")
+def test_a_diverged_drape_leaves_the_body() -> None:
+    mesh = apron()
+    front, _ = render_garment(np.full_like(mesh.vertices, np.nan), mesh, BALL, size=24, device="cpu")
+    assert np.array_equal(front, render_view(figure_scene(BALL), size=24, device="cpu"))
+    assert not is_paper(front)[12, 12]
 
 
 def test_a_draped_sample_renders_to_two_jpegs() -> None:
-    cloth = patch(4, 4, spacing=2.0, origin=(-4.0, -4.0, 8.0))
-    ball = body_from(trimesh.creation.icosphere(subdivisions=2, radius=5.0))
+    cloth = apron()
     drape = Drape(cloth.vertices, Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)
     sample = Sample("gcd_000000007", Provenance(0, 7), napkins(), SIZE, {}, box_mesh=cloth, drape=drape)
-    for jpeg in render_sample(sample, ball, size=40, device="cpu"):
+    for jpeg in render_sample(sample, BALL, size=40, device="cpu"):
         picture = Image.open(io.BytesIO(jpeg))
         assert (picture.format, picture.size) == ("JPEG", (40, 40))
     with pytest.raises(ConfigError, match="gcd_000000007 is not draped"):
-        render_sample(replace(sample, drape=None), ball)
+        render_sample(replace(sample, drape=None), BALL)

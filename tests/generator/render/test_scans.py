@@ -41,7 +41,7 @@ def test_depths_of_a_plane_scatter_as_the_sources_state(distance: float) -> None
 
 def test_without_noise_points_lie_on_the_mesh() -> None:
     scene = ball_scene(RADIUS)
-    cloud = scanned(scene, beside(0.0), beside(120.0), points=300, body=True)
+    cloud = scanned(scene, beside(0.0), beside(120.0), points=100, body=True)
     mesh = trimesh.Trimesh(
         np.concatenate([scene.vertices, scene.body.vertices]),
         np.concatenate([scene.faces, scene.body.faces + len(scene.vertices)]),

@@ -1,4 +1,4 @@
-"""Sketches: lines lie where the geometry has outlines, edges, seams, hems and folds."""
+"""Sketches: lines lie where the geometry has outlines, edges, seams, hems and folds; strokes have their ink."""
 
 from dataclasses import replace
 
@@ -18,15 +18,36 @@ from gcd_dataset.generator.render import (
     scene_of,
     sketch,
     sketch_camera,
+    sketches,
 )
-from gcd_dataset.generator.render.sketches import HEM_STITCH, INSIDE, NOBODY, WIDTHS
+from gcd_dataset.generator.render.sketches import HEM_STITCH, INSIDE, NOBODY, PIXELS, WIDTHS
+from gcd_dataset.generator.render.strokes import (
+    Segments,
+    SketchLine,
+    by_hand,
+    chains,
+    cracks,
+    dashed,
+    draw_strokes,
+    level_lines,
+    linked,
+    smoothed,
+    valleys,
+)
 from gcd_dataset.records import BoxMesh
 from tests.generator.render.scenes import hung_patch
 from tests.helpers import far_ball, joined, napkins, patch
 
+ROW, COLUMN = np.indices((60, 80)).astype(float)
 SIZE = 400
 BARE = SketchStyle(seams=False, hems=False, folds=False)
 MIDDLE = np.array([0.0, 100.0, 0.0])
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Range images with a quarter of the pixels."""
+    monkeypatch.setattr(sketches, "PIXELS", PIXELS // 2)
 
 
 def ahead(distance: float = 1000.0, *, width: float = 50.0) -> Camera:
@@ -106,8 +127,11 @@ def test_seams_are_lines_where_panels_meet_and_stitches_follow_the_hems() -> Non
     assert from_edge == pytest.approx(HEM_STITCH, abs=0.35)
 
 
-def test_folds_are_drawn_where_cloth_turns_most_from_the_eye() -> None:
-    """z = 1.5 sin(2 pi x / 16) is steepest at x = 0, 8, 16 …"""
+def test_folds_are_drawn_where_cloth_turns_most_from_the_eye(monkeypatch: pytest.MonkeyPatch) -> None:
+    """z = 1.5 sin(2 pi x / 16) is steepest at x = 0, 8, 16 …; flat cloth has no folds."""
+    flat = of_cloth(hung_patch(5, 5))
+    assert np.array_equal(drawn(flat, replace(BARE, folds=True)), drawn(flat))
+    monkeypatch.setattr(sketches, "PIXELS", PIXELS)
     sheet = patch(40, 40, origin=(-20.0, 80.0, 0.0))
     x, y, _ = sheet.vertices.T
     scene = of_cloth(replace(sheet, vertices=np.column_stack([x, y, 1.5 * np.sin(2 * np.pi * x / 16.0)])))
@@ -116,8 +140,6 @@ def test_folds_are_drawn_where_cloth_turns_most_from_the_eye() -> None:
     across = (column - 199.5) * 50 / SIZE
     assert set(np.rint(across / 8).astype(int).tolist()) == {-2, -1, 0, 1, 2}
     assert np.abs(across - 8 * np.rint(across / 8)).max() < 0.6
-    flat = of_cloth(hung_patch(5, 5))
-    assert np.array_equal(drawn(flat, replace(BARE, folds=True)), drawn(flat))
 
 
 def test_the_inside_of_the_cloth_is_grey_in_a_flat() -> None:
@@ -190,3 +212,108 @@ def test_bad_options_are_named() -> None:
         sketch(bare, ahead(), device="cpu")
     with pytest.raises(ConfigError, match="without cloth"):
         sketch_camera(bare)
+
+
+# -------------------------------------------------------------------------------------------------------------- lines
+
+
+def test_a_level_line_of_a_distance_is_a_circle() -> None:
+    [circle] = chains(level_lines(np.hypot(COLUMN - 40.3, ROW - 28.6), 20.0))
+    assert (circle[0] == circle[-1]).all()
+    assert np.hypot(circle[:, 0] - 40.3, circle[:, 1] - 28.6) == pytest.approx(20.0, abs=0.02)
+
+
+def test_level_lines_end_at_missing_values() -> None:
+    field = np.where(ROW < 30, COLUMN, np.nan)
+    [line] = chains(level_lines(field, 12.25))
+    assert line[:, 0] == pytest.approx(12.25)
+    assert (line[:, 1].min(), line[:, 1].max()) == (0, 29)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, 1.2, 2.5])
+def test_a_valley_is_its_deepest_line(angle: float) -> None:
+    """A parabola across a slanted line has that line as its only valley, of curvature 2 · 0.01."""
+    across = (COLUMN - 40) * np.cos(angle) + (ROW - 30) * np.sin(angle)
+    segments, strength = valleys(0.01 * across**2, sigma=1.0)
+    used = segments.place[segments.ends]
+    used = used[(np.abs(used - [40, 30]) < 18).all(axis=(1, 2))].reshape(-1, 2)  # away from the border of the picture
+    assert len(used) > 30
+    found = (used[:, 0] - 40) * np.cos(angle) + (used[:, 1] - 30) * np.sin(angle)
+    assert np.abs(found).max() < 0.05
+    assert strength[30, 40] == pytest.approx(0.02, rel=0.01)
+
+
+def test_the_border_of_a_square_is_one_closed_line() -> None:
+    mask = np.zeros((9, 11), bool)
+    mask[2:5, 3:9] = True
+    [line] = chains(cracks(mask[:, :-1] != mask[:, 1:], mask[:-1] != mask[1:]))
+    assert (line[0] == line[-1]).all()
+    assert len(line) == 2 * (3 + 6) + 1
+    assert (line.min(axis=0) == [2.5, 1.5]).all()
+    assert (line.max(axis=0) == [8.5, 4.5]).all()
+
+
+def test_lines_end_where_three_meet() -> None:
+    star = Segments(np.array([[0, 1], [1, 2], [0, 3], [0, 4], [4, 5]]), np.arange(12.0).reshape(6, 2))
+    lines = chains(star)
+    assert sorted(len(line) for line in lines) == [2, 3, 3]
+    assert all((line[0] == star.place[0]).all() for line in lines)
+
+
+def test_smoothing_keeps_straight_lines_and_ends() -> None:
+    steps = np.array([[x + k, x] for x in range(40) for k in (0, 1)], float)  # a staircase at 45 degrees
+    curve = smoothed(steps, 3.0)
+    assert curve[0] == pytest.approx(steps[0], abs=1e-9)
+    assert curve[-1] == pytest.approx(steps[-1], abs=1e-9)
+    assert np.ptp(curve[10:-10, 0] - curve[10:-10, 1]) < 0.1
+
+
+@pytest.mark.parametrize("width", [0.6, 1.5, 4.0])
+@pytest.mark.parametrize("slope", [0.0, 0.7])
+def test_the_ink_of_a_line_is_its_length_times_its_width(width: float, slope: float) -> None:
+    size = 200
+    points = np.array([[0.2, 0.2], [0.8, 0.2 + 0.6 * slope]])
+    picture = draw_strokes([SketchLine(points, width / size)], size)
+    ink = float((255 - picture.astype(float)).sum()) / 255
+    length = size * float(np.linalg.norm(points[1] - points[0]))
+    assert ink == pytest.approx(length * width, rel=0.06)
+
+
+def test_dashes_are_equal_and_fill_the_line() -> None:
+    line = SketchLine(np.array([[0.1, 0.5], [0.9, 0.5]]), 0.01)
+    pieces = dashed(line, 0.05, 0.03)
+    assert len(pieces) == 10
+    assert np.ptp([piece.length for piece in pieces]) < 1e-12
+    assert pieces[0].points[0].tolist() == [0.1, 0.5]
+    assert pieces[-1].points[-1] == pytest.approx([0.9, 0.5])
+
+
+def test_a_hand_stays_near_the_line_and_does_not_repeat_itself() -> None:
+    line = SketchLine(np.array([[0.1, 0.5], [0.9, 0.5]]), 0.004)
+    first, again, other = (by_hand(line, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    assert all((a.points == b.points).all() for a, b in zip(first, again, strict=True))
+    assert len(first) != len(other) or not np.array_equal(first[0].points, other[0].points)
+    points = np.concatenate([piece.points for piece in first])
+    assert 1e-4 < np.abs(points[:, 1] - 0.5).max() < 0.02
+    assert (np.diff(np.sort(points[:, 0])) < 0.01).all()  # pieces leave no gap
+
+
+def test_lines_are_joined_where_one_goes_on_as_another() -> None:
+    along = np.arange(20.0)
+    level = np.stack([along, np.zeros(20)], axis=1)
+    after, aside = level[::-1] + [24.0, 0.0], np.stack([np.full(20, 21.0), along + 3.0], axis=1)
+    lines = linked([level, aside, after], 6.0)
+    assert sorted(len(line) for line in lines) == [20, 40]
+    (joined,) = (line for line in lines if len(line) == 40)
+    assert (np.abs(np.diff(joined[:, 0])) <= 5).all()
+    assert np.ptp(joined[:, 0]) == 43
+    assert len(linked([level, after], 4.0)) == 2
+
+
+def test_quarters_of_a_circle_make_a_ring() -> None:
+    angle = np.linspace(0.0, 0.5 * np.pi, 60)
+    quarters = [30.0 * np.stack([np.cos(angle + turn), np.sin(angle + turn)], axis=1)
+                for turn in 0.5 * np.pi * np.arange(4)]  # fmt: skip
+    (ring,) = linked(quarters, 2.0)
+    assert len(ring) == 240
+    assert np.linalg.norm(np.diff(ring, axis=0), axis=1).max() < 1.0

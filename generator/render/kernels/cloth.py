@@ -1,13 +1,22 @@
-"""Prints: the colour of the cloth at a place of a panel [cm]. ``width`` is the size of a pixel there [cm].
+"""Cloth at a place of a panel [cm]: colour of its print, slopes of its relief; ``width`` is a pixel's size there [cm].
 
 Motifs whose period is below two pixels fade to their mean: stripes would alias.
 """
 
 import warp as wp
 
-from gcd_dataset.generator.render.kernels.noise import fractal2, fraction, inside, mixed, noise2, ramp, random2, unit
-from gcd_dataset.generator.render.kernels.records import Cloth
-from gcd_dataset.generator.render.kernels.texels import bilinear
+from gcd_dataset.generator.render.kernels.records import ClothRow
+from gcd_dataset.generator.render.kernels.textures import (
+    bilinear,
+    fractal2,
+    fraction,
+    inside,
+    mixed,
+    noise2,
+    ramp,
+    random2,
+    unit,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,10 +29,18 @@ NOISE = wp.constant(6)
 GRADIENT = wp.constant(7)
 IMAGE = wp.constant(8)
 PANELS = wp.constant(9)
+TWILL = wp.constant(1)
+SATIN = wp.constant(2)
+JERSEY = wp.constant(3)
+RIB = wp.constant(4)
+CORDUROY = wp.constant(5)
+CREPE = wp.constant(6)
+FELT = wp.constant(7)
+TURN = wp.constant(6.2831853)
 
 
 @wp.func
-def print_colour(cloth: Cloth, uv: wp.vec2, panel: int, rise: float, width: float,
+def print_colour(cloth: ClothRow, uv: wp.vec2, panel: int, rise: float, width: float,
                  texel: wp.array(dtype=wp.vec3)) -> wp.vec3:  # fmt: skip
     """Linear colour of the right side of the cloth; ``rise`` is the height above the garment's lowest point [cm]."""
     kind = cloth.print_kind
@@ -91,7 +108,7 @@ def repeated(x: float, period: float, fill: float, width: float) -> float:
 
 
 @wp.func
-def stripes(cloth: Cloth, x: float, width: float) -> wp.vec3:
+def stripes(cloth: ClothRow, x: float, width: float) -> wp.vec3:
     """Stripes; with jitter, a thin second stripe in each gap."""
     colour = wp.lerp(cloth.ground, cloth.first, repeated(x, cloth.period, cloth.fill, width))
     if cloth.jitter > 0.0:
@@ -103,7 +120,7 @@ def stripes(cloth: Cloth, x: float, width: float) -> wp.vec3:
 
 
 @wp.func
-def checks(cloth: Cloth, x: float, y: float, width: float) -> wp.vec3:
+def checks(cloth: ClothRow, x: float, y: float, width: float) -> wp.vec3:
     """Gingham: coloured threads both ways, mixed by half where one crosses the ground."""
     warp_share = repeated(x, cloth.period, cloth.fill, width)
     weft_share = repeated(y, cloth.period, cloth.fill, width)
@@ -113,7 +130,7 @@ def checks(cloth: Cloth, x: float, y: float, width: float) -> wp.vec3:
 
 
 @wp.func
-def sett(cloth: Cloth, x: float, width: float) -> wp.vec3:
+def sett(cloth: ClothRow, x: float, width: float) -> wp.vec3:
     """The thread colours of a tartan: bands mirrored about the middle of the sett."""
     period = cloth.period
     w = wp.max(width, 1.0e-3 * period)
@@ -130,13 +147,13 @@ def sett(cloth: Cloth, x: float, width: float) -> wp.vec3:
 
 
 @wp.func
-def tartan(cloth: Cloth, x: float, y: float, width: float) -> wp.vec3:
+def tartan(cloth: ClothRow, x: float, y: float, width: float) -> wp.vec3:
     """The same sett in warp and weft, half of each in view."""
     return (sett(cloth, x, width) + sett(cloth, y, width)) * 0.5
 
 
 @wp.func
-def dots(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
+def dots(cloth: ClothRow, p: wp.vec2, width: float) -> wp.vec3:
     """Dots in rows set off by half a period, or scattered with jitter."""
     period = cloth.period
     radius = 0.5 * cloth.fill * period
@@ -162,7 +179,7 @@ def dots(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
 
 
 @wp.func
-def floral(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
+def floral(cloth: ClothRow, p: wp.vec2, width: float) -> wp.vec3:
     """Flowers with leaves, scattered: one in most cells, two layers of different size."""
     colour = cloth.ground
     before = int(-1)  # a variable: loops of constant length are unrolled
@@ -186,7 +203,7 @@ def floral(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
 
 
 @wp.func
-def flower(cloth: Cloth, under: wp.vec3, d: wp.vec2, scale: float, i: int, j: int, seed: int, layer: int,
+def flower(cloth: ClothRow, under: wp.vec3, d: wp.vec2, scale: float, i: int, j: int, seed: int, layer: int,
            width: float) -> wp.vec3:  # fmt: skip
     """One flower at the origin over the colour ``under``."""
     size = scale * cloth.fill * (0.34 + 0.22 * random2(i, j, seed, 4))
@@ -211,7 +228,7 @@ def flower(cloth: Cloth, under: wp.vec3, d: wp.vec2, scale: float, i: int, j: in
 
 
 @wp.func
-def blotches(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
+def blotches(cloth: ClothRow, p: wp.vec2, width: float) -> wp.vec3:
     """Camouflage of four colours; with jitter above a half, soft marbling of two."""
     q = p * (1.0 / cloth.period)
     soft = width / cloth.period
@@ -224,3 +241,61 @@ def blotches(cloth: Cloth, p: wp.vec2, width: float) -> wp.vec3:
     colour = wp.lerp(cloth.ground, cloth.first, inside(0.02 - a, 0.03 + soft))
     colour = wp.lerp(colour, cloth.second, inside(0.16 - b, 0.03 + soft))
     return wp.lerp(colour, cloth.third, inside(0.45 - c, 0.03 + soft))
+
+
+@wp.func
+def weave_slope(cloth: ClothRow, uv: wp.vec2, width: float) -> wp.vec2:
+    """Slope of the threads along both axes of the panel; fades where threads are finer than two pixels."""
+    kind = cloth.weave_kind
+    phase = uv * (TURN / cloth.pitch)
+    seen = cloth.depth * (1.0 - ramp(0.25, 0.6, width / cloth.pitch))
+    if seen <= 0.0:
+        return wp.vec2(0.0, 0.0)
+    if kind == TWILL:
+        wave = wp.cos(phase[0] + 0.6 * phase[1])
+        return wp.vec2(wave, 0.6 * wave) * seen
+    if kind == SATIN:
+        return wp.vec2(0.4 * wp.cos(phase[0]), 0.0) * seen
+    if kind == JERSEY:
+        lean = wp.cos(0.5 * phase[0])
+        wave = wp.cos(phase[1] + 2.0 * lean)
+        return wp.vec2(0.8 * wp.sin(phase[0]) + wave * wp.sin(0.5 * phase[0]), 0.7 * wave) * seen
+    if kind == RIB or kind == CORDUROY:
+        return wp.vec2(wp.sin(phase[0]), 0.0) * seen
+    if kind == CREPE or kind == FELT:
+        q = uv * (1.0 / cloth.pitch)
+        return wp.vec2(noise2(q, 3), noise2(q, 4)) * seen
+    return wp.vec2(wp.sin(phase[0]) * wp.cos(0.5 * phase[1]), wp.sin(phase[1]) * wp.cos(0.5 * phase[0])) * seen
+
+
+@wp.func
+def wrinkle_slope(cloth: ClothRow, uv: wp.vec2, panel: int) -> wp.vec2:
+    """Slope of wrinkles of a few centimetres: crossing creases with flat cloth between them."""
+    q = uv * 0.16
+    bend = wp.vec2(fractal2(q * 0.6, 2, 101 + panel), fractal2(q * 0.6, 2, 211 + panel))
+    a = q + bend * 0.8
+    step = 0.08
+    here = ridge(a, panel)
+    slope = wp.vec2(ridge(a + wp.vec2(step, 0.0), panel) - here, ridge(a + wp.vec2(0.0, step), panel) - here)
+    return slope * (cloth.wrinkles / step * 0.22)
+
+
+@wp.func
+def ridge(p: wp.vec2, panel: int) -> float:
+    """Height of creases: noise whose zero lines are ridges."""
+    n = noise2(p, 307 + panel)
+    return wp.exp(-3.0 * n * n) * (0.5 + 0.5 * noise2(p * 0.7, 401 + panel))
+
+
+@wp.func
+def yarn_variation(cloth: ClothRow, uv: wp.vec2, width: float) -> float:
+    """Factor of the colour: yarns differ along warp and weft, and wear differs from place to place."""
+    if cloth.mottle <= 0.0:
+        return 1.0
+    fine = 1.0 - ramp(0.1, 0.4, width)
+    coarse = 1.0 - ramp(0.3, 1.2, width)
+    warp_yarn = noise2(wp.vec2(uv[0] * 9.0, uv[1] * 0.7), 11)
+    weft_yarn = noise2(wp.vec2(uv[0] * 0.7, uv[1] * 9.0), 13)
+    speckle = noise2(uv * 2.3, 19)
+    worn = fractal2(uv * 0.12, 3, 17)
+    return 1.0 + cloth.mottle * (0.8 * fine * (warp_yarn + weft_yarn) + 0.7 * coarse * speckle + 0.6 * worn)

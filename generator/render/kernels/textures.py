@@ -1,4 +1,4 @@
-"""Hashes and value noise: the same numbers on every device, keyed by integers."""
+"""Hashes and value noise, the same on every device; lookups in tiles, photographs and panoramas."""
 
 import warp as wp
 
@@ -81,3 +81,30 @@ def ramp(low: float, high: float, x: float) -> float:
 def inside(distance: float, width: float) -> float:
     """Coverage of a pixel of ``width`` by a shape whose signed distance is negative inside."""
     return wp.clamp(0.5 - distance / wp.max(width, 1.0e-4), 0.0, 1.0)
+
+
+@wp.func
+def wrapped(i: int, n: int, repeat: int) -> int:
+    """Row ``i`` of ``n``, repeated or held at the edge."""
+    if repeat == 1:
+        return i - n * int(wp.floor(float(i) / float(n)))
+    return wp.clamp(i, 0, n - 1)
+
+
+@wp.func
+def bilinear(texel: wp.array(dtype=wp.vec3), first: int, width: int, height: int, u: float, v: float,
+             repeat: int) -> wp.vec3:  # fmt: skip
+    """Colour at (u, v), 0 to 1 from the upper left corner."""
+    x = u * float(width) - 0.5
+    y = v * float(height) - 0.5
+    i = int(wp.floor(x))
+    j = int(wp.floor(y))
+    left = wrapped(i, width, repeat)
+    right = wrapped(i + 1, width, repeat)
+    above = first + wrapped(j, height, repeat) * width
+    below = first + wrapped(j + 1, height, repeat) * width
+    s = x - wp.floor(x)
+    t = y - wp.floor(y)
+    upper = wp.lerp(texel[above + left], texel[above + right], s)
+    lower = wp.lerp(texel[below + left], texel[below + right], s)
+    return wp.lerp(upper, lower, t)
