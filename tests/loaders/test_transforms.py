@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import (
@@ -20,7 +19,6 @@ from gcd_dataset.loaders import (
     PartialView,
     PointNoise,
     Yaw,
-    collate_list,
 )
 from gcd_dataset.loaders.base import Item
 from tests.loaders.test_shards import assert_all_same, same
@@ -135,23 +133,6 @@ def test_draws_depend_on_seed_index_and_epoch() -> None:
     assert_all_same(changed().stream([2, 0]), [changed()[2], changed()[0]])
     assert not same(changed()[0], changed(seed=1)[0])
     assert not same(changed()[0], changed(epoch=1)[0])
-
-
-def test_set_epoch_reaches_a_persistent_worker() -> None:
-    ds = Augmented(FakeGarments(2, fields=["points"]), PointNoise(1.0))
-    loader = DataLoader(
-        ds,
-        batch_size=2,
-        num_workers=1,
-        persistent_workers=True,
-        multiprocessing_context="fork",
-        collate_fn=collate_list,
-    )
-    [first] = loader
-    ds.set_epoch(1)
-    [second] = loader
-    assert not same(first, second)
-    assert same(second, list(ds))
 
 
 def test_augmented_garments_keep_state_recipe_and_slices() -> None:
