@@ -1,6 +1,7 @@
 """``GarmentDataset`` on a folder of shards: by index and as a stream."""
 
 import tarfile
+import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -22,6 +23,7 @@ from gcd_dataset.loaders.shards import SplitPart, parse_splits
 from gcd_dataset.records import Grade, Outcome, Sample, View
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.reader import Quality
+from gcd_dataset.shards.tar import samples_in
 from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
 
 COUNT = 10
@@ -273,6 +275,30 @@ def test_damage_in_a_stream_is_named(tmp_path: Path) -> None:
         next(stream)
         with pytest.raises(ShardError, match=rf"train-00000\.tar: sample gcd_000000001{fault}"):
             next(stream)
+
+
+def header(kind: bytes = tarfile.REGTYPE, **more: Any) -> bytes:
+    info = tarfile.TarInfo("gcd_000000000.verts.z")
+    info.type = kind
+    for attribute, value in more.items():
+        setattr(info, attribute, value)
+    return info.tobuf(tarfile.PAX_FORMAT if "pax_headers" in more else tarfile.USTAR_FORMAT)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (header(tarfile.GNUTYPE_SPARSE), "not a plain file"),
+        (header(pax_headers={"size": "99999999999"}), "not a plain file"),
+        (header(tarfile.SYMTYPE, linkname="/etc/passwd"), "not a plain file"),
+        (header(size=1 << 30), "is cut off at byte"),
+        (2 * header(), "occurs twice"),
+        (zlib.compress(bytes(1 << 20), wbits=31), "no tar header"),
+    ],
+)
+def test_harmful_headers_are_refused(content: bytes, message: str) -> None:
+    with pytest.raises(ShardError, match=message):
+        list(samples_in(memoryview(content)))
 
 
 @pytest.mark.parametrize("name", ["thing-000000.tar", "train-00000.tar", "train.tar"])
