@@ -1,6 +1,7 @@
 """Batches of ragged garments: row numbers keep their meaning."""
 
 import sys
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -12,6 +13,7 @@ from torch.utils.data import DataLoader
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import (
     FakeGarments,
+    GarmentDataset,
     PackedBatch,
     PaddedBatch,
     collate_list,
@@ -21,9 +23,9 @@ from gcd_dataset.loaders import (
     seam_graph,
     to_pyg,
 )
-from gcd_dataset.loaders.batches import copy_tensor
-from gcd_dataset.tensors import EdgeColumn
+from gcd_dataset.loaders.batches import RAGGED, copy_tensor
 from tests.loaders.test_shards import same
+from tests.shards.folders import fill
 
 B = 5
 
@@ -39,66 +41,39 @@ def batch(items: list[dict[str, Any]]) -> PackedBatch:
     return collate_packed(items)
 
 
-def rows_of(batch: dict[str, Any], field: str, k: int) -> torch.Tensor:
-    """Rows of garment k."""
-    first, last = batch[f"{field}_ptr"][k : k + 2].tolist()
-    rows: torch.Tensor = batch[field][first:last]
-    return rows
+POINTERS = (
+    *(("faces", slice(0, 3), target) for target in ("verts", "box")),
+    *((field, slice(0, 1), target) for field in ("labels", "seams") for target in ("verts", "box")),
+    *(("seams", slice(1, 2), "stitches"), ("corners", slice(0, 3), "uv"), ("stitches", slice(0, 2), "edges")),
+    *(("uv_vertex", None, "verts"), ("panel_id", None, "panels"), ("edges", slice(0, 1), "panels")),
+)
+"""Field, its columns of row numbers, and the field that these index."""
 
 
-def test_garments_differ_in_size(items: list[dict[str, Any]]) -> None:
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_row_numbers_index_the_arrays_of_the_batch(dtype: torch.dtype, tmp_path: Path) -> None:
+    """Of garments made on demand, and of the columns of stored ones, also in a type that NumPy lacks."""
+    stored = GarmentDataset(fill(tmp_path, range(B)), dtype=dtype)
+    items: list[Any] = list(stored.__getitems__(range(B)))
     assert len({len(item["verts"]) for item in items}) > 1
-
-
-def test_packed_rows_are_those_of_the_garments(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
-    assert batch["batch_size"] == B
-    for k, item in enumerate(items):
-        for field in ("verts", "box", "uv", "panels"):
-            assert torch.equal(rows_of(batch, field, k), item[field])
-
-
-def test_faces_index_the_vertices_of_the_batch(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
-    for k, item in enumerate(items):
-        for positions in ("verts", "box"):
-            assert torch.equal(batch[positions][rows_of(batch, "faces", k)], item[positions][item["faces"]])
-        assert torch.equal(batch["uv"][rows_of(batch, "corners", k)], item["uv"][item["corners"]])
-    assert torch.equal(batch["uv_vertex"][batch["corners"]], batch["faces"])
-
-
-def test_seams_and_labels_index_vertices_and_stitches_of_the_batch(
-    items: list[dict[str, Any]], batch: dict[str, Any]
-) -> None:
-    for k, item in enumerate(items):
-        seams, labels = rows_of(batch, "seams", k), rows_of(batch, "labels", k)
-        assert torch.equal(batch["verts"][seams[:, 0]], item["verts"][item["seams"][:, 0]])
-        start = batch["stitches_ptr"][k]
-        assert torch.equal(seams[:, 1] - start, item["seams"][:, 1])
-        assert torch.equal(batch["verts"][labels[:, 0]], item["verts"][item["labels"][:, 0]])
-        assert torch.equal(labels[:, 1], item["labels"][:, 1])
-
-
-def test_stitches_join_the_same_edges_and_panels(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
-    for k, item in enumerate(items):
-        stitches, edges, panels = (rows_of(batch, field, k) for field in ("stitches", "edges", "panel_id"))
-        assert torch.equal(
-            batch["edges"][stitches[:, :2]][..., 1:], item["edges"][item["stitches"][:, :2].long()][..., 1:]
-        )
-        assert torch.equal(stitches[:, 2], item["stitches"][:, 2])
-        own = edges[:, EdgeColumn.PANEL].long()
-        assert torch.equal(batch["panels"][own], item["panels"][item["edges"][:, EdgeColumn.PANEL].long()])
-        assert torch.equal(batch["panels"][panels], item["panels"][item["panel_id"]])
-
-
-def test_collate_leaves_the_items_unchanged(items: list[dict[str, Any]]) -> None:
-    before = [item["faces"].clone() for item in items]
-    collate_packed(items)
-    assert all(torch.equal(item["faces"], kept) for item, kept in zip(items, before, strict=True))
-
-
-def test_equal_shapes_are_stacked_and_json_is_listed(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
-    assert batch["body"].shape == (B, *items[0]["body"].shape)
-    assert batch["front"].shape == (B, 3, 16, 16)
-    assert [meta["index"] for meta in batch["meta"]] == list(range(B))
+    for given in (items, stored.__getitems__(range(B))):
+        before = [item["faces"].clone() for item in items]
+        batch = collate_packed(given)
+        assert all(torch.equal(item["faces"], kept) for item, kept in zip(items, before, strict=True))
+        assert batch.body.shape == (B, *items[0]["body"].shape)
+        assert batch.front.shape == (B, 3, 16, 16)
+        assert batch.meta == [item["meta"] for item in items]
+        for k, item in enumerate(items):
+            own = {f: batch[f][slice(*batch[f"{f}_ptr"][k : k + 2].tolist())] for f in item if f"{f}_ptr" in batch}
+            assert {*own} == {*RAGGED} & {*item}
+            pointing = {field for field, _, _ in POINTERS}
+            assert all(same(own[field], item[field]) for field in own if field not in pointing)
+            for field, columns, target in POINTERS:
+                ours, theirs = (rows[field] if columns is None else rows[field][:, columns] for rows in (own, item))
+                assert same(ours - batch[f"{target}_ptr"][k].to(ours.dtype), theirs), field
+            assert same(own["edges"][:, 1:], item["edges"][:, 1:])
+            assert same(own["stitches"][:, 2], item["stitches"][:, 2])
+            assert same(own["labels"][:, 1], item["labels"][:, 1])
 
 
 def test_the_field_that_row_numbers_index_is_required(items: list[dict[str, Any]]) -> None:
@@ -125,14 +100,6 @@ def test_garments_without_a_mesh_make_a_batch(items: list[dict[str, Any]]) -> No
     mesh = ("faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box", "verts")
     bare = [{**item, **{field: item[field][:0] for field in mesh}} for item in items]
     assert collate_packed(bare)["faces"].shape == (0, 3)
-
-
-def test_a_batch_can_be_pinned(batch: dict[str, Any]) -> None:
-    ds = FakeGarments(4)
-    loader = DataLoader(ds, batch_size=2, collate_fn=collate_packed, pin_memory=torch.cuda.is_available())
-    assert all(loaded["verts"].is_pinned() == torch.cuda.is_available() for loaded in loader)
-    moved = {name: value.to("cpu") for name, value in batch.items() if isinstance(value, torch.Tensor)}
-    assert {"verts", "verts_ptr", "faces", "front"} <= moved.keys()
 
 
 def test_garment_k_of_a_packed_batch_is_item_k(items: list[dict[str, Any]], batch: PackedBatch) -> None:
