@@ -3,15 +3,11 @@
 import contextlib
 import gc
 import multiprocessing
-import os
-import signal
-import threading
 import weakref
 from collections import Counter
 from collections.abc import Sequence
 from itertools import islice
-from multiprocessing.connection import Connection
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 from torch.utils.data import DataLoader
@@ -260,36 +256,6 @@ def test_workers_of_the_loader_are_refused() -> None:
             fresh(**options)
 
 
-class Watched(DataLoader):
-    """A ``DataLoader`` whose worker queue the test can read."""
-
-    sent: ClassVar[list[Connection]] = []
-
-    def __iter__(self) -> Any:
-        made: Any = super().__iter__()
-        self.sent.append(made._worker_result_queue._reader)
-        return made
-
-
-def test_tensors_are_received_without_a_reply_of_the_worker(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A busy worker, here stopped by a signal, cannot reply."""
-    monkeypatch.setattr("gcd_dataset.loaders.fresh.DataLoader", Watched)
-    others = set(multiprocessing.active_children())
-    made = iter(FreshGarments(FakeGarments(99, fields=["meta", "verts"]), room=1, workers=1))
-    next(made)
-    [worker] = set(multiprocessing.active_children()) - others
-    assert worker.pid is not None
-    assert Watched.sent.pop().poll(120)  # the worker has made the next item
-    os.kill(worker.pid, signal.SIGSTOP)
-    goes_on = threading.Timer(30.0, os.kill, (worker.pid, signal.SIGCONT))
-    goes_on.start()
-    item = next(made)
-    assert goes_on.is_alive(), "waited for the worker"
-    goes_on.cancel()
-    os.kill(worker.pid, signal.SIGCONT)
-    assert item["verts"].isfinite().all()
-
-
 def test_items_in_the_buffer_hold_no_shared_memory() -> None:
     made = list(FreshGarments(FakeGarments(4, fields=["meta", "verts"]), room=4, workers=1))
     assert [item["verts"].is_shared() for item in made] == 4 * [False]  # type: ignore[no-untyped-call]
@@ -343,37 +309,3 @@ def test_selected_garments_of_whole_designs_are_made_together(chosen: Sequence[i
     assert whole.garments_per_design == 2
     assert whole.select(chosen).garments_per_design == garments
     assert Augmented(whole.select(chosen), PointNoise(1.0)).garments_per_design == garments
-
-
-class Uneven(FakeGarments):
-    """Makes the last garment once ``last`` is set, the others immediately."""
-
-    def __init__(self, count: int) -> None:
-        super().__init__(count, fields=["meta"])
-        self.last = multiprocessing.Event()
-
-    def __getitem__(self, index: Any) -> Any:
-        if index == len(self) - 1:
-            self.last.wait()
-        return super().__getitem__(index)
-
-
-def test_a_worker_that_exits_early_does_not_block_the_end() -> None:
-    ds = Uneven(4)
-    made = iter(FreshGarments(ds, workers=2, room=1))
-    given: list[int] = []
-
-    def take() -> None:
-        given.extend(item["meta"]["index"] for item in made)
-
-    thread = threading.Thread(target=take, daemon=True)
-    others = set(multiprocessing.active_children())
-    given.append(next(made)["meta"]["index"])
-    first, _ = sorted(set(multiprocessing.active_children()) - others, key=lambda worker: worker.pid or 0)
-    thread.start()
-    first.join(60)
-    assert first.exitcode == 0
-    ds.last.set()
-    thread.join(60)
-    assert not thread.is_alive()
-    assert given == [0, 1, 2, 3]

@@ -3,12 +3,9 @@
 import contextlib
 import errno
 import gc
-import multiprocessing
-import random
 import threading
 import weakref
 from collections.abc import Iterator
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -199,14 +196,6 @@ def test_a_rest_smaller_than_the_ranks_is_skipped() -> None:
     assert {rank.epoch for rank in three} == {2}
 
 
-def test_three_shards_on_two_ranks(folder: Path) -> None:
-    for streaming in (False, True):
-        ds = GarmentDataset(folder, fields=["meta"], streaming=streaming)
-        ranks = [GarmentLoader(ds, 2, rank=rank, world_size=2, shuffle=not streaming) for rank in (0, 1)]
-        assert [len(rank) for rank in ranks] == [3, 3]
-        assert sorted(merged(ranks)) == list(range(10))
-
-
 def test_padding_is_marked() -> None:
     ranks = loaders(4, n=10, batch_size=2, pad="repeat")
     batches = [list(rank) for rank in ranks]
@@ -283,55 +272,6 @@ def test_an_error_of_getitems_names_the_batch() -> None:
     loader = GarmentLoader(BrokenTogether(), 4, shuffle=False, collate_fn=collate_list)
     with pytest.raises(ShardError, match="while loading garments 4, 5, 6, 7 of BrokenTogether"):
         list(loader)
-
-
-def train(ds: Any, workers: int, epochs: int, log: Path, tell: Connection) -> None:
-    """A training that logs its indices with its state, and resumes from the log."""
-    loader = GarmentLoader(ds, 4, num_workers=workers)
-    seen: list[int] = []
-    if log.exists():
-        kept = torch.load(log)
-        seen = kept["seen"]
-        loader.load_state_dict(kept["state"])
-    while loader.epoch < epochs:
-        for batch in loader:
-            seen += ids(batch)
-            torch.save({"seen": seen, "state": loader.state_dict()}, log.with_suffix(".part"))
-            log.with_suffix(".part").replace(log)
-            tell.send(len(seen))
-    tell.send(None)
-
-
-def require_resumed(ds: Any, workers: int, log: Path, *, kills: int) -> None:
-    """Kill a training at ``kills`` random batches; the runs together must see the batches of one whole run."""
-    chance, fork, epochs = random.Random(0), multiprocessing.get_context("fork"), kills
-
-    def run(batches: int | None) -> None:
-        """Resume the training, and kill it during the batch after ``batches`` more."""
-        hear, tell = fork.Pipe(duplex=False)
-        child = fork.Process(target=train, args=(ds, workers, epochs, log, tell))
-        child.start()
-        tell.close()
-        received = 0
-        while hear.recv() is not None:
-            received += 1
-            if received == batches:
-                child.kill()
-                break
-        else:
-            assert batches is None
-        child.join()
-
-    for _ in range(kills):
-        run(chance.randint(1, 3))
-    run(None)
-    whole = GarmentLoader(ds, 4)
-    assert torch.load(log)["seen"] == [number for _ in range(epochs) for batch in whole for number in ids(batch)]
-
-
-def test_a_run_killed_at_any_batch_resumes(tmp_path: Path, folder: Path) -> None:
-    """More kills, also of worker processes, are in ``tests/extras``."""
-    require_resumed(GarmentDataset(folder, fields=["meta"]), 0, tmp_path / "run.pt", kills=3)
 
 
 # -------------------------------------------------------------------------------------------------------------- streams
