@@ -21,7 +21,7 @@ from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.loaders.shards import SplitPart, parse_splits
 from gcd_dataset.records import Grade, Outcome, Sample, View
-from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
 from gcd_dataset.shards.reader import Quality
 from gcd_dataset.shards.tar import samples_in
 from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
