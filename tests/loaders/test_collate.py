@@ -338,7 +338,7 @@ def test_meshes_for_pyg(items: list[dict[str, Any]], batch: PackedBatch) -> None
 def test_patterns_for_pyg(items: list[dict[str, Any]], batch: PackedBatch) -> None:
     data = to_pyg(batch, "pattern")
     assert data["panel"].x.shape == (2 * B, 14)
-    alone = to_pyg(items[2], "pattern")["edge"].x
+    alone = to_pyg(items[-1], "pattern")["edge"].x
     assert alone.dtype == torch.float32
     assert torch.equal(data["edge"].x[-len(alone) :], alone)  # features do not depend on the batch
     assert data["panel"].batch.tolist() == [number for number in range(B) for _ in range(2)]

@@ -488,6 +488,7 @@ def test_caches_and_names_with_a_tilde(tmp_path: Path, monkeypatch: pytest.Monke
     kept = GeneratedGarments(1, drape=None, cache_dir="~/garments").cache
     assert kept is not None
     assert kept.parent == tmp_path / "garments"
+    (tmp_path / "data").mkdir()
     assert parse_source("~/data") == Folder(tmp_path / "data")
 
 

@@ -150,14 +150,14 @@ def test_skin_is_measured_on_demand(worn_folder: Path) -> None:
 def test_lines_lie_on_the_border_of_the_garment(worn_folder: Path) -> None:
     """The camera projects the garment into the inked part of the picture, and fills it."""
     item = dataset(worn_folder)[0]
-    made = sketch(size=128)(item)
+    made = sketch(size=256)(item)
     rt = made["sketch_rt"][0].double()
     seen = (item["verts"].double() @ rt[:, :3].T + rt[:, 3]) @ made["sketch_k"][0].double().T
     pixels = seen[:, :2] / seen[:, 2:]
     row, column = torch.nonzero(255 - made["sketch"][0].int() > 128, as_tuple=True)
     for axis, inked in ((0, column), (1, row)):
-        assert inked.min().item() == pytest.approx(pixels[:, axis].min().item(), abs=2.0)
-        assert inked.max().item() == pytest.approx(pixels[:, axis].max().item(), abs=2.0)
+        assert inked.min().item() == pytest.approx(pixels[:, axis].min().item(), abs=2.5)
+        assert inked.max().item() == pytest.approx(pixels[:, axis].max().item(), abs=2.5)
 
 
 def test_turned_sketches_stay_within_their_limit(worn_folder: Path) -> None:
