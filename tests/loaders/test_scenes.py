@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from gcd_dataset.errors import ConfigError, TransformError
-from gcd_dataset.generator.render import FLAT, HAND, NOISELESS, ScanRanges, SketchStyle
+from gcd_dataset.generator.render import HAND, NOISELESS, ScanRanges
 from gcd_dataset.loaders import VIEW_FIELDS, Augmented, GarmentDataset, GarmentLoader, Scan, Sketch
 from gcd_dataset.records import Sample
 from tests.loaders.rendered import of_another_data_set, write
@@ -39,16 +39,12 @@ def test_entries_are_a_function_of_seed_epoch_and_garment(worn_folder: Path, mak
     drawn = make()
     item = dataset(worn_folder)[0]
     alone = drawn(item)[field]
-    for workers in (0, 1):
-        some = dataset(worn_folder, transform=drawn)[:1]
-        [batch] = GarmentLoader(some, 1, seed=workers, num_workers=workers)
-        assert torch.equal(batch[field][0], alone)
+    [batch] = GarmentLoader(dataset(worn_folder, transform=drawn)[:1], 1, seed=1, num_workers=1)
+    assert torch.equal(batch[field][0], alone)
     assert not torch.equal(drawn(of_another_data_set(item))[field], alone)
     assert not torch.equal(make(seed=1)(item)[field], alone)
     drawn.set_epoch(1)
     assert not torch.equal(drawn(item)[field], alone)
-    drawn.set_epoch(0)
-    assert torch.equal(drawn(item)[field], alone)
 
 
 @pytest.mark.parametrize(("make", "field", "stays"), [(scan, "scan", False), (sketch, "sketch", True)])
@@ -56,7 +52,6 @@ def test_as_an_augmentation_each_epoch_is_drawn_anew(worn_folder: Path, make: An
     """A clean flat from a fixed side has nothing to draw."""
     garments = Augmented(dataset(worn_folder), make())
     first = garments[1][field]
-    assert torch.equal(first, garments[1][field])
     garments.set_epoch(1)
     assert torch.equal(first, garments[1][field]) == stays
 
@@ -115,22 +110,6 @@ def test_the_page_runs_and_lists_every_entry(
     assert set(re.findall(r"^\| `((?:scan|sketch)\w*)`", text, re.MULTILINE)) == made(plain).keys() - plain.keys()
 
 
-def test_a_garment_is_seen_from_one_side(worn_folder: Path) -> None:
-    """Noiseless points of one camera in front face it, and lie on the garment."""
-    item = dataset(worn_folder)[0]
-    front = ScanRanges(yaw=(0.0, 0.0))
-    made = scan(n=1, noise=NOISELESS, cameras=front)(item)
-    points, rt = made["scan"].double().numpy(), made["scan_camera_rt"][0].double().numpy()
-    eye = -rt[:, :3].T @ rt[:, 3]
-    assert (np.einsum("nc,nc->n", points[:, 3:], eye - points[:, :3]) > 0).all()
-    vertices = item["verts"].double().numpy()
-    panels = set(made["scan_panel_id"].tolist())
-    assert -1 not in panels
-    assert len(panels) < len(item["meta"]["panel_names"])
-    seen = [np.linalg.norm(points[:, :3] - vertex, axis=1).min() < 3.0 for vertex in vertices]
-    assert 0.1 < np.mean(seen) < 0.9
-
-
 def test_the_rows_point_to_the_panels_of_the_garment(worn_folder: Path) -> None:
     item = dataset(worn_folder)[0]
     made = scan(noise=NOISELESS)(item)
@@ -161,15 +140,6 @@ def test_lines_lie_on_the_border_of_the_garment(worn_folder: Path) -> None:
 
 
 def test_turned_sketches_stay_within_their_limit(worn_folder: Path) -> None:
-    turned = sketch(yaws=(0.0, 180.0), turn=40.0)(dataset(worn_folder)[0])
-    away = -np.einsum("nij,ni->nj", turned["sketch_rt"][:, :, :3].numpy(), np.tile([0.0, 0.0, 1.0], (2, 1)))
-    yaw = np.degrees(np.arctan2(away[:, 0], away[:, 2]))
-    gone = np.abs((yaw - [0.0, 180.0] + 180.0) % 360.0 - 180.0)
-    assert ((gone > 0) & (gone <= 40.0)).all()
-
-
-def test_a_style_decides_the_lines(worn_folder: Path) -> None:
-    item = dataset(worn_folder)[0]
-    styles = (SketchStyle(seams=False, hems=False, folds=False), FLAT, SketchStyle(weight=2.0))
-    ink = [(255 - sketch(size=64, style=style)(item)["sketch"].int()).sum() for style in styles]
-    assert ink[0] < ink[1] < ink[2]
+    turned = sketch(yaws=(90.0,), turn=40.0)(dataset(worn_folder)[0])
+    away = -turned["sketch_rt"][0, 2, :3].numpy()
+    assert 0 < abs(np.degrees(np.arctan2(away[0], away[2])) - 90.0) <= 40.0
