@@ -387,7 +387,7 @@ def _dtype_of(items: Sequence[Item]) -> torch.dtype | None:
 
 
 def _concatenated(
-    values: Sequence[Any], counts: Sequence[int], dtype: torch.dtype | None, starts: Mapping[str, Any], field: str
+    values: list[Any], counts: Sequence[int], dtype: torch.dtype | None, starts: Mapping[str, Any], field: str
 ) -> Tensor:
     """The rows of all garments; row numbers in them are offset by each garment's start."""
     rows = _in_one_thread(values, dtype, field)
@@ -476,7 +476,7 @@ def _require_same_type(values: Sequence[Tensor], field: str) -> None:
 # loop that copied box meshes with torch received half as many garments. NumPy copies in one thread.
 
 
-def _in_one_thread(values: Sequence[Any], dtype: torch.dtype | None, field: str) -> Sequence[Any]:
+def _in_one_thread(values: list[Any], dtype: torch.dtype | None, field: str) -> list[Any]:
     """The values as arrays; as tensors those on a GPU, and types that NumPy lacks, such as bfloat16."""
     first = values[0]
     if isinstance(first, Tensor):

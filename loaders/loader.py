@@ -13,7 +13,7 @@ import torch
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from gcd_dataset.errors import ConfigError, GcdError
-from gcd_dataset.loaders.base import Garments, is_of_package, load_items, require_callable, require_integer
+from gcd_dataset.loaders.base import Garments, UserCode, is_of_package, load_items, require_callable, require_integer
 from gcd_dataset.loaders.batches import collate_list, collate_packed, collate_padded
 from gcd_dataset.loaders.order import ElasticSampler, Pad, RankShare
 from gcd_dataset.loaders.ranks import current_rank, require_rank
@@ -325,7 +325,10 @@ class BatchMaker(Dataset):
     """
 
     def __init__(self, dataset: Dataset, collate_fn: Collate, seed: int, views: "Views | None" = None) -> None:
-        self._plain, self._user_code = dataset._separated() if isinstance(dataset, Garments) else (dataset, None)
+        self._plain: Dataset = dataset
+        self._user_code: UserCode | None = None
+        if isinstance(dataset, Garments):
+            self._plain, self._user_code = dataset._separated()
         self._collate, self._seed, self._views = collate_fn, seed, views
         self.is_user_dataset = not is_of_package(type(self._plain))
         """Whether the data set's class is defined outside this package: users' code then makes the whole item."""
