@@ -50,7 +50,7 @@ def test_entries_are_a_function_of_seed_epoch_and_garment(worn_folder: Path, mak
 @pytest.mark.parametrize(("make", "field", "stays"), [(scan, "scan", False), (sketch, "sketch", True)])
 def test_as_an_augmentation_each_epoch_is_drawn_anew(worn_folder: Path, make: Any, field: str, stays: bool) -> None:
     """A clean flat from a fixed side has nothing to draw."""
-    garments = Augmented(dataset(worn_folder), make())
+    garments: Any = Augmented(dataset(worn_folder), make())
     first = garments[1][field]
     garments.set_epoch(1)
     assert torch.equal(first, garments[1][field]) == stays
