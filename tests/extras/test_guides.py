@@ -35,12 +35,11 @@ SMALLER = {
         "compare FIRST SECOND": "compare scores.json scores.json",
     },
     "guides/train": {"--count 1000": "--count 40", "--resolution 3": "--resolution 6", "EPOCHS = 25": "EPOCHS = 2"},
-    "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 4 --bodies both --resolution 12"},
+    "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 8 --bodies both --resolution 9"},
     "guides/generate": {
-        "--count 10000 --seed 7 --bodies both --device cuda:0": "--count 2 --resolution 9 --device cpu --picture 32",
-        "--index 3": "--index 1",
+        "--count 10000 --seed 7 --bodies both --device cuda:0": "--count 4 --resolution 5 --device cpu --picture 64",
         'GeneratedGarments(6, cache_dir="kept", fields=fields, resolution=4.0)': (
-            'GeneratedGarments(2, cache_dir="kept", fields=fields, resolution=9.0)'
+            'GeneratedGarments(4, cache_dir="kept", fields=fields, resolution=6.0)'
         ),
     },
     "guides/own-body": {"--resolution 3": "--resolution 7", "spacing=3.0": "spacing=7.0"},
