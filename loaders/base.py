@@ -7,8 +7,10 @@ import re
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import fields
 from difflib import get_close_matches
+from functools import partial
 from itertools import islice
 from typing import Any, SupportsIndex, TypeAlias, overload
 
@@ -30,6 +32,8 @@ CHUNK = 1 << 15  # elements: torch converts larger tensors with several threads
 Item: TypeAlias = Mapping[str, Any]
 """An item: ``GarmentFields``, or fields with what users' transforms made of them."""
 Transform: TypeAlias = Callable[[Any], Any]
+UserCode: TypeAlias = Callable[[Any, int], Any]
+"""``(item, index)`` to the transformed item."""
 NOTHING: Mapping[str, str] = {}
 
 
@@ -208,6 +212,18 @@ class Garments(Dataset[GarmentFields], ABC):
         with as_transform_error(self, position):
             return wrap_item(self.transform(item))
 
+    def _separated(self) -> tuple["Garments", UserCode | None]:
+        """This data set without users' code, and that code; a data set of a user's class stays as it is."""
+        if self.transform is None or not is_of_package(type(self)):
+            return self, None
+        return self._with(transform=None), self._transformed
+
+    def _with(self, **attributes: Any) -> Any:
+        """A copy with other attributes."""
+        other = copy(self)
+        other.__dict__.update(attributes)
+        return other
+
     def _position(self, index: int | str) -> int:
         """The position of an index or key. Raises ``IndexError``, ``KeyError``, ``TypeError``."""
         return self._require_key(index) if isinstance(index, str) else resolve_index(index, len(self))
@@ -289,6 +305,12 @@ class SelectedGarments(DerivedGarments):
     def stream(self, indices: Iterable[int]) -> Iterator[Any]:
         return self.whole.stream(self._in_whole(self._position(index)) for index in indices)
 
+    def _separated(self) -> tuple[Garments, UserCode | None]:
+        whole, code = self.whole._separated()
+        if code is None:
+            return self, None
+        return self._with(whole=whole, transform=None), partial(_of_selected, code, self.positions)
+
     def identity(self) -> dict[str, Any]:
         """Identity of ``whole``, and a checksum of the selected indices."""
         return {"of": self.whole.identity(), "chosen": zlib.crc32(self.positions.tobytes())}
@@ -296,6 +318,15 @@ class SelectedGarments(DerivedGarments):
     def _find_key(self, key: str) -> int | None:
         position = self.whole._find_key(key)
         return None if position is None else next(iter(np.flatnonzero(self.positions == position).tolist()), None)
+
+
+def _of_selected(code: UserCode, positions: Int[np.ndarray, " n"], item: Any, index: int) -> Any:
+    return code(item, int(positions[index]))
+
+
+def is_of_package(kind: type) -> bool:
+    """Whether a class is of this package, and so draws no global random numbers."""
+    return kind.__module__.partition(".")[0] == __name__.partition(".")[0]
 
 
 def _are_whole_designs(positions: Int[np.ndarray, " n"], garments_per_design: int) -> bool:
@@ -309,10 +340,14 @@ def load_items(dataset: Any, indices: Sequence[int]) -> list[Any]:
 
     An error gets a note that names the indices.
     """
-    if not hasattr(dataset, "__getitems__"):
-        return [_load_item(dataset, index) for index in indices]
-    with note_items(dataset, *indices):
-        return dataset.__getitems__(indices)
+    if hasattr(dataset, "__getitems__"):
+        with note_items(dataset, *indices):
+            return dataset.__getitems__(indices)
+    items = []
+    for index in indices:
+        with note_items(dataset, index):
+            items.append(dataset[index])
+    return items
 
 
 class note_items:  # noqa: N801 -- a context manager, named as functions are
@@ -352,11 +387,6 @@ class as_transform_error:  # noqa: N801 -- a context manager, named as functions
             garment = f"{self._dataset._key(self._position)}, number {self._position} of {dataset}"
             message = " ".join(f"{type(error).__name__}: {error}".split())
             raise TransformError(f"the transform of {garment}: {message}") from error
-
-
-def _load_item(dataset: Any, index: Any) -> Any:
-    with note_items(dataset, index):
-        return dataset[index]
 
 
 def resolve_index(index: Any, length: int, what: str = "garment") -> int:

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.utils.data._utils.collate import collate, default_collate_fn_map
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import GarmentItem, Item, UnknownKeyError, as_type, require_float_dtype
+from gcd_dataset.loaders.base import GarmentItem, Item, UnknownKeyError, as_type, require_float_dtype, tensor_of
 from gcd_dataset.loaders.shards import StoredItems
 from gcd_dataset.loaders.worker import naming_full, sent, unwrap
 from gcd_dataset.shards.buffers import read_buffer
@@ -333,15 +333,17 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     >>> batch["faces"].tolist(), batch["verts_ptr"].tolist()
     ([[0, 1, 2], [3, 4, 5]], [0, 3, 6])
     """
-    if isinstance(items, StoredItems):
-        return unwrap(sent(_pack_stored(items)))
-    _require_same_fields(items)
+    columns = _columns(items)
+    counts = {field: list(map(len, values)) for field, values in columns.items() if field in RAGGED}
+    # Arrays until the end: a call of torch takes several times as long as one of NumPy.
+    starts = {f"{field}_ptr": np.array([0, *accumulate(lengths)]) for field, lengths in counts.items()}
     batch = PackedBatch(batch_size=len(items))
-    rows = {field: [item[field].shape[0] for item in items] for field in RAGGED if field in items[0]}
-    batch |= {f"{field}_ptr": torch.tensor([0, *accumulate(counts)]) for field, counts in rows.items()}
-    for field in items[0]:
-        values = [item[field] for item in items]
-        batch[field] = _pack(values, rows[field], batch, field) if field in rows else _stacked(values, field)
+    batch |= {name: torch.from_numpy(pointers) for name, pointers in starts.items()}
+    for field, values in columns.items():
+        if field in counts:
+            batch[field] = _concatenated(values, counts[field], _dtype_of(items), starts, field)
+        else:
+            batch[field] = _stacked(values, items, field)
     return unwrap(sent(batch))
 
 
@@ -362,63 +364,82 @@ def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = No
     >>> tuple(batch.panels.shape), batch["panels_mask"].tolist()
     ((2, 3, 14), [[True, True, False], [True, True, True]])
     """
-    _require_same_fields(items)
     batch = PaddedBatch(batch_size=len(items))
-    for field in items[0]:
-        values = [item[field] for item in items]
+    for field, values in _columns(items).items():
         if field in RAGGED:
-            batch[field], batch[f"{field}_mask"] = _pad(values, field, (rows or {}).get(field))
+            batch[field], batch[f"{field}_mask"] = _pad(values, _dtype_of(items), field, (rows or {}).get(field))
         else:
-            batch[field] = _stacked(values, field)
+            batch[field] = _stacked(values, items, field)
     return unwrap(sent(batch))
 
 
-def _pack_stored(items: StoredItems) -> PackedBatch:
-    """The same batch from stored rows: each is copied once."""
-    # Arrays until the end: a call of torch takes several times as long as one of NumPy.
-    columns = {field: items.column(field) for field in items.fields}
-    counts = {field: list(map(len, values)) for field, values in columns.items() if field in RAGGED}
-    starts = {f"{field}_ptr": np.array([0, *accumulate(lengths)]) for field, lengths in counts.items()}
-    batch = PackedBatch(batch_size=len(items))
-    batch |= {name: torch.from_numpy(pointers) for name, pointers in starts.items()}
-    for field, values in columns.items():
-        if field in counts:
-            batch[field] = _concatenated(values, counts[field], items.dtype, starts, field)
-        elif isinstance(values[0], np.ndarray) and len(set(map(len, values))) == 1:
-            rows = _concatenated(values, list(map(len, values)), items.dtype, starts, field)
-            batch[field] = rows.view(len(values), *values[0].shape)
-        else:
-            batch[field] = _stacked(values, field)
-    return batch
+def _columns(items: Sequence[Item]) -> dict[str, list[Any]]:
+    """Field to the value of each garment: of stored garments the mapped rows, which collation copies once."""
+    if isinstance(items, StoredItems):
+        return {field: items.column(field) for field in items.fields}
+    _require_same_fields(items)
+    return {field: [item[field] for item in items] for field in items[0]}
+
+
+def _dtype_of(items: Sequence[Item]) -> torch.dtype | None:
+    """The floating type that stored rows are cast to."""
+    return items.dtype if isinstance(items, StoredItems) else None
 
 
 def _concatenated(
-    values: Sequence[np.ndarray],
-    counts: Sequence[int],
-    dtype: torch.dtype | None,
-    starts: Mapping[str, np.ndarray],
-    field: str,
+    values: list[Any], counts: Sequence[int], dtype: torch.dtype | None, starts: Mapping[str, Any], field: str
 ) -> Tensor:
-    """Stored rows as one tensor; row numbers in them are offset by each garment's start."""
-    first = values[0]
-    kind = first.dtype if first.dtype.kind != "f" or dtype is None else NUMPY_TYPES.get(dtype)
-    if kind is None:  # such as bfloat16, which NumPy lacks
-        return torch.cat([torch.from_numpy(value).to(dtype) for value in values])
-    shape = (sum(counts), *first.shape[1:])
-    out = np.ndarray(shape, kind, read_buffer(math.prod(shape) * kind.itemsize))
+    """The rows of all garments; row numbers in them are offset by each garment's start."""
+    rows = _in_one_thread(values, dtype, field)
     pointing = POINTS_TO.get(field, ())
+    if isinstance(rows[0], Tensor):
+        joined = torch.cat(rows)
+        for columns, target in pointing:
+            offsets = torch.from_numpy(starts_of(starts, field, target)[:-1].repeat(counts))
+            joined.T[columns] += offsets.to(joined)
+        return joined
+    out = _empty((sum(counts), *rows[0].shape[1:]), rows[0], dtype)
     if pointing and pointing[0][0] == WHOLE:  # copy and offset in one pass: the largest arrays
         begin, offsets = 0, starts_of(starts, field, pointing[0][1]).tolist()
-        for value, count, offset in zip(values, counts, offsets, strict=False):
+        for value, count, offset in zip(rows, counts, offsets, strict=False):
             np.add(value, offset, out=out[begin : begin + count], casting="unsafe")
             begin += count
         return torch.from_numpy(out)
-    np.concatenate(values, out=out, casting="unsafe")
+    np.concatenate(rows, out=out, casting="unsafe")
     for columns, target in pointing:
-        offsets = starts_of(starts, field, target)[:-1].astype(kind).repeat(counts)
+        offsets = starts_of(starts, field, target)[:-1].astype(out.dtype).repeat(counts)
         for column in out.T[columns]:  # one by one: broadcasting over short rows takes ten times as long
             column += offsets
     return torch.from_numpy(out)
+
+
+def _pad(values: list[Any], dtype: torch.dtype | None, field: str, count: int | None) -> tuple[Tensor, Tensor]:
+    """The padded values [B, n, …] and their mask [B, n]."""
+    rows, lengths = _in_one_thread(values, dtype, field), list(map(len, values))
+    longest = max(lengths) if count is None else count
+    if max(lengths) > longest:
+        raise ConfigError(
+            f"a garment has {max(lengths)} rows of {field}, more than rows={longest}: give more, or leave rows out"
+        )
+    out = _empty((len(rows), longest, *rows[0].shape[1:]), rows[0], dtype)
+    padded = torch.as_tensor(out)
+    padding = 0 if padded.is_floating_point() or padded.dtype == torch.bool else -1
+    for own, value in zip(out, rows, strict=True):
+        own[: len(value)] = value
+        own[len(value) :] = padding
+    mask = np.arange(longest) < np.array(lengths)[:, None]
+    return padded, torch.from_numpy(mask).to(padded.device)
+
+
+def _stacked(values: list[Any], items: Sequence[Item], field: str) -> Any:
+    """Tensors of equal shape stacked; anything else as a list."""
+    is_stored, first = isinstance(items, StoredItems), values[0]
+    kinds = (Tensor, np.ndarray) if is_stored else Tensor
+    if all(isinstance(value, kinds) and value.shape == first.shape for value in values):
+        return _concatenated([value[None] for value in values], [1] * len(values), _dtype_of(items), {}, field)
+    if is_stored and isinstance(first, np.ndarray):
+        return [tensor_of(value.copy(), _dtype_of(items)) for value in values]
+    return values
 
 
 NUMPY_TYPES: Mapping[torch.dtype, np.dtype[Any]] = {
@@ -451,58 +472,29 @@ def _require_same_type(values: Sequence[Tensor], field: str) -> None:
         )
 
 
-def _pack(values: list[Tensor], counts: list[int], batch: PackedBatch, field: str) -> Tensor:
-    """The concatenated rows; row numbers in them are offset by each garment's start."""
-    _require_same_type(values, field)
-    starts = [(column, starts_of(batch, field, target)) for column, target in POINTS_TO.get(field, ())]
-    rows = _empty((sum(counts), *values[0].shape[1:]), values[0])
-    if starts and starts[0][0] == WHOLE:  # copy and offset in one pass: the largest arrays
-        for value, start, out in zip(values, starts[0][1].tolist(), torch.split(rows, counts), strict=False):
-            add(value, start, out)
-        return rows
-    concatenate(values, rows)
-    for column, start in starts:
-        offsets = start[:-1].to(rows.dtype).repeat_interleave(torch.tensor(counts), output_size=len(rows))
-        entries = rows[:, column]
-        entries += offsets if entries.ndim == 1 else offsets[:, None]
-    return rows
+# torch's threads spin after each call and take cores from workers that make garments: with 14 workers on 16 cores, a
+# loop that copied box meshes with torch received half as many garments. NumPy copies in one thread.
 
 
-def _pad(values: list[Tensor], field: str, count: int | None) -> tuple[Tensor, Tensor]:
-    """The padded values [B, n, …] and their mask [B, n]."""
-    _require_same_type(values, field)
-    lengths = [len(value) for value in values]
-    longest = max(lengths) if count is None else count
-    if max(lengths) > longest:
-        raise ConfigError(
-            f"a garment has {max(lengths)} rows of {field}, more than rows={longest}: give more, or leave rows out"
-        )
-    rows = _empty((len(values), longest, *values[0].shape[1:]), values[0])
-    padding = 0 if values[0].is_floating_point() or values[0].dtype == torch.bool else -1
-    for value, out in zip(values, rows, strict=True):
-        concatenate([value], out[: len(value)])
-        fill(out[len(value) :], padding)
-    mask = np.arange(longest) < np.array(lengths)[:, None]
-    return rows, torch.from_numpy(mask).to(values[0].device)
-
-
-def _stacked(values: list[Any], field: str) -> Any:
-    """Tensors of equal shape stacked; anything else as a list."""
+def _in_one_thread(values: list[Any], dtype: torch.dtype | None, field: str) -> list[Any]:
+    """The values as arrays; as tensors those on a GPU, and types that NumPy lacks, such as bfloat16."""
     first = values[0]
-    if all(isinstance(value, Tensor) and value.shape == first.shape for value in values):
+    if isinstance(first, Tensor):
         _require_same_type(values, field)
-        batch = _empty((len(values), *first.shape), first)
-        concatenate([value[None] for value in values], batch)
-        return batch
+        if all(map(_numpy_can_view, values)):
+            return [value.detach().numpy() for value in values]
+        return [value.detach() for value in values]
+    if first.dtype.kind == "f" and dtype is not None and dtype not in NUMPY_TYPES:
+        return [torch.from_numpy(value).to(dtype) for value in values]
     return values
 
 
-def _empty(shape: Sequence[int], like: Tensor) -> Tensor:
-    """Memory for a batch; on the CPU from a pool of buffers that are reused."""
-    size = math.prod(shape) * like.itemsize
-    if not size or like.device.type != "cpu":
+def _empty(shape: Sequence[int], like: Any, dtype: torch.dtype | None) -> Any:
+    """Memory for a batch; an array from a pool of buffers that are reused, floating as ``dtype``."""
+    if isinstance(like, Tensor):
         return torch.empty(shape, dtype=like.dtype, device=like.device)
-    return torch.from_numpy(read_buffer(size)).view(like.dtype).view(shape)
+    kind = like.dtype if like.dtype.kind != "f" or dtype is None else NUMPY_TYPES[dtype]
+    return np.ndarray(shape, kind, read_buffer(math.prod(shape) * kind.itemsize))
 
 
 def _default_collate(items: Sequence[GarmentItem], *, collate_fn_map: Any = None) -> dict[str, Any]:
@@ -523,11 +515,6 @@ def _default_collate(items: Sequence[GarmentItem], *, collate_fn_map: Any = None
 default_collate_fn_map[GarmentItem] = _default_collate
 
 
-# ------------------------------------------------------------- copies in one thread
-# torch's threads spin after each call and take cores from workers that make garments: with 14 workers on 16 cores, a
-# loop that copied box meshes with torch received half as many garments.
-
-
 def copy_tensor(value: Tensor) -> Tensor:
     """A copy of the tensor, in memory of its own."""
     return torch.from_numpy(value.detach().numpy().copy()) if _numpy_can_view(value) else value.clone()
@@ -540,29 +527,6 @@ def pin_tensor(value: Tensor) -> Tensor:
     copy = torch.empty_like(value, pin_memory=True)
     np.copyto(copy.numpy(), value.detach().numpy())
     return copy
-
-
-def concatenate(values: Sequence[Tensor], out: Tensor) -> None:
-    """Concatenate tensors of one type along their first axis into ``out``."""
-    if _numpy_can_view(out):
-        np.concatenate([value.detach().numpy() for value in values], out=out.numpy())
-    else:
-        torch.cat(list(values), out=out)
-
-
-def add(value: Tensor, start: int, out: Tensor) -> None:
-    """Write ``value + start`` to ``out``; integers."""
-    if _numpy_can_view(out):
-        np.add(value.numpy(), start, out=out.numpy())
-    else:
-        torch.add(value, start, out=out)
-
-
-def fill(out: Tensor, value: int) -> None:
-    if _numpy_can_view(out):
-        out.numpy().fill(value)
-    else:
-        out.fill_(value)
 
 
 def _numpy_can_view(value: Tensor) -> bool:

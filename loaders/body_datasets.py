@@ -114,7 +114,7 @@ class Bodies(Dataset[BodyFields], ABC):
     def _load(self, position: int) -> Any:
         values = self._values(position)
         item = GarmentItem(
-            (field, value if isinstance(value := values[field], str) else _tensor(value, self.dtype))
+            (field, value if isinstance(value := values[field], str) else tensor_of(np.asarray(value), self.dtype))
             for field in self.fields
         )
         return item if self.transform is None else wrap_item(self.transform(item))
@@ -224,14 +224,8 @@ class PublishedBodies(Bodies):
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
         super().__init__(fields, transform, dtype=dtype)
-        file_of = {
-            "shape": "meta",
-            "arm_angle": "meta",
-            "measures": "measures",
-            "straight": "straight",
-            "apart": "apart",
-        }
-        needed = dict.fromkeys(file_of[field] for field in self.fields if field != "name")
+        file_of = {"shape": "meta", "arm_angle": "meta"}
+        needed = dict.fromkeys(file_of.get(field, field) for field in self.fields if field != "name")
         self._people = PublishedPeople(root, names=names, needed=needed, segmentation=segmentation)
         self.names = self._people.names
 
@@ -261,8 +255,3 @@ class PublishedBodies(Bodies):
         if "measures" in fields:
             values["measures"] = measure_row(self._people.measurements(name))
         return values | {pose: self._people.vertices(name, pose) for pose in POSES if pose in fields}
-
-
-def _tensor(value: Any, dtype: torch.dtype | None) -> Tensor:
-    """A number or array as a tensor, floating ones cast to ``dtype``."""
-    return tensor_of(np.asarray(value), dtype)

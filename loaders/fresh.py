@@ -5,13 +5,13 @@ may be lambdas in a script without a ``__main__`` guard, and each worker needs i
 generate`` they call ``produce``, with the same draping processes and the same look-ahead.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import lru_cache
-from itertools import chain, groupby, islice
-from typing import Any, NamedTuple
+from functools import lru_cache, partial
+from itertools import chain, islice
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -37,24 +37,14 @@ from gcd_dataset.loaders.worker import begin_worker, require_semaphores, sent, u
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.workers import prefetch
 
+DesignOrder: TypeAlias = Callable[[], Iterator[Sequence[int]]]
 CHUNK = 1024  # random words that are drawn at once
 WORD_BITS = 64
 
 
-@dataclass(frozen=True)
-class ReplayRate:
-    """Uses per garment as a fraction: 5/2 is twice for one garment and three times for the next."""
-
-    numerator: int
-    denominator: int
-
-    def total(self, garments: int) -> int:
-        """Uses of the first ``garments`` garments together."""
-        return garments * self.numerator // self.denominator
-
-    def times(self, index: int) -> int:
-        """Uses of one garment."""
-        return self.total(index + 1) - self.total(index)
+def uses(rate: Fraction, garments: int) -> int:
+    """Uses of the first ``garments`` garments together; 5/2 is twice for one garment and three times for the next."""
+    return garments * rate.numerator // rate.denominator
 
 
 class Replay(NamedTuple):
@@ -70,7 +60,7 @@ class Replay(NamedTuple):
 class ReplayWindow:
     """Iterator over the uses of an epoch: a window of up to ``room`` garments, from which each use is drawn at random.
 
-    >>> window = ReplayWindow(count=3, rate=ReplayRate(2, 1), room=2, seed=0, epoch=0)
+    >>> window = ReplayWindow(count=3, rate=Fraction(2), room=2, seed=0, epoch=0)
     >>> [replay.garment for replay in window]
     [0, 1, 0, 1, 2, 2]
 
@@ -80,7 +70,8 @@ class ReplayWindow:
 
     count: int
     """Garments of an epoch."""
-    rate: ReplayRate
+    rate: Fraction
+    """Uses of each garment."""
     room: int
     """Most garments in the window."""
     seed: int
@@ -106,32 +97,23 @@ class ReplayWindow:
         entry = self._window[row]
         index, before = entry
         entry[1] += 1
-        is_last = entry[1] == self.rate.times(index)
+        is_last = entry[1] == uses(self.rate, index + 1) - uses(self.rate, index)
         if is_last:
             self._window[row] = self._window[-1]
             self._window.pop()
         self.offset += 1
         return Replay(index, before, is_last)
 
-    def skip(self, uses: int) -> None:
-        """Advance by some uses."""
-        for _ in range(uses):
-            next(self)
-
     def designs(self, garments_per_design: int) -> list[list[int]]:
         """The indices in the window, one list per design, in the order of each design's next use."""
-        left = {index for index, _ in self._window}
-        ahead, order = deepcopy(self), list[int]()
+        left, ahead = {index for index, _ in self._window}, deepcopy(self)
+        designs: dict[int, list[int]] = {}
         while left:
             index = next(ahead).garment
             if index in left:
                 left.remove(index)
-                order.append(index)
-        first_use: dict[int, int] = {}
-        for rank, index in enumerate(order):
-            first_use.setdefault(index // garments_per_design, rank)
-        in_order = sorted(order, key=lambda index: (first_use[index // garments_per_design], index))
-        return [list(indices) for _, indices in groupby(in_order, key=lambda index: index // garments_per_design)]
+                designs.setdefault(index // garments_per_design, []).append(index)
+        return [sorted(indices) for indices in designs.values()]
 
 
 @lru_cache(maxsize=4)
@@ -201,11 +183,11 @@ class FreshGarments(IterableDataset[GarmentFields]):
     @property
     def replay(self) -> Fraction:
         """Uses of each garment."""
-        return Fraction(self._rate.numerator, self._rate.denominator)
+        return self._rate
 
     def __len__(self) -> int:
         """Items of one epoch."""
-        return self._rate.total(len(self.garments))
+        return uses(self._rate, len(self.garments))
 
     def __repr__(self) -> str:
         return f"FreshGarments({self.garments!r}, replay={float(self.replay):g}, room={self.room})"
@@ -254,11 +236,12 @@ class FreshGarments(IterableDataset[GarmentFields]):
             )
         epoch, offset = divmod(position, max(len(self), 1))
         window = ReplayWindow(len(self.garments), self._rate, self.room, self.seed, epoch)
-        window.skip(offset)
+        for _ in range(offset):
+            next(window)
         per_design = self.garments.garments_per_design
-        order = _MakeOrder(window.designs(per_design), window.entered, window.count, per_design)
+        order = partial(_make_order, window.designs(per_design), window.entered, window.count, per_design)
         first = epoch * len(self.garments)
-        return self._replayed(window, zip(order.indices(), self._made(order, first), strict=True), first)
+        return self._replayed(window, zip(chain.from_iterable(order()), self._made(order, first), strict=True), first)
 
     def _go_to(self, position: int) -> None:
         self._next = self._position = position
@@ -281,7 +264,7 @@ class FreshGarments(IterableDataset[GarmentFields]):
                 del item  # otherwise this frame would keep it alive after its last use
             yield self._augmented(buffer.pop(wanted) if replay.is_last else buffer[wanted], replay, first)
 
-    def _made(self, order: "_MakeOrder", first: int) -> Iterator[Item]:
+    def _made(self, order: DesignOrder, first: int) -> Iterator[Item]:
         """The garments in order, made by the workers in turn, one design each."""
         self.garments.tell_wait()  # before the workers start: each of them would log it
         if self.workers:
@@ -305,7 +288,7 @@ class FreshGarments(IterableDataset[GarmentFields]):
             return wrap_item(self.augment(item, rng(self.seed, number, Stage.AUGMENT, replay.before)))
 
 
-def _rate(replay: float) -> ReplayRate:
+def _rate(replay: float) -> Fraction:
     """``replay`` as a fraction. Raises ``ConfigError`` for a value below 1."""
     try:
         rate = Fraction(str(replay))
@@ -313,7 +296,7 @@ def _rate(replay: float) -> ReplayRate:
         rate = Fraction(0)
     if rate < 1:
         raise ConfigError(f"replay={replay!r:.99}: give 1 or more")
-    return ReplayRate(rate.numerator, rate.denominator)
+    return rate
 
 
 def _copied(item: Any) -> Any:
@@ -325,29 +308,21 @@ def _copied(item: Any) -> Any:
     )
 
 
-class _MakeOrder:
-    """The order in which garments are made: the designs in the window, then all others from index ``start`` on."""
-
-    def __init__(self, designs: Sequence[Sequence[int]], start: int, count: int, garments_per_design: int) -> None:
-        self._designs, self._start, self._count, self._per_design = designs, start, count, garments_per_design
-
-    def __iter__(self) -> Iterator[Sequence[int]]:
-        """The indices of each design."""
-        yield from self._designs
-        start = self._start
-        while start < self._count:
-            end = min((start // self._per_design + 1) * self._per_design, self._count)
-            yield range(start, end)
-            start = end
-
-    def indices(self) -> Iterator[int]:
-        return chain.from_iterable(self)
+def _make_order(
+    designs: Sequence[Sequence[int]], start: int, count: int, garments_per_design: int
+) -> Iterator[Sequence[int]]:
+    """The order in which garments are made: these designs, then all others from index ``start`` on."""
+    yield from designs
+    while start < count:
+        end = min((start // garments_per_design + 1) * garments_per_design, count)
+        yield range(start, end)
+        start = end
 
 
 class _WorkerGarments(IterableDataset[list[Item] | GcdError]):
     """One worker's garments: every ``num_workers``-th design, as a list of its items; an error ends the stream."""
 
-    def __init__(self, garments: Garments, order: _MakeOrder, first: int) -> None:
+    def __init__(self, garments: Garments, order: DesignOrder, first: int) -> None:
         self._garments, self._order, self._first = garments, order, first
 
     def __iter__(self) -> Iterator[list[Item] | GcdError]:
@@ -368,4 +343,4 @@ class _WorkerGarments(IterableDataset[list[Item] | GcdError]):
 
     def _designs(self) -> Iterable[Sequence[int]]:
         worker = get_worker_info()
-        return islice(self._order, *((0, None, 1) if worker is None else (worker.id, None, worker.num_workers)))
+        return islice(self._order(), *((0, None, 1) if worker is None else (worker.id, None, worker.num_workers)))

@@ -242,11 +242,9 @@ class GeneratedGarments(Garments):
         )
 
     def _encoded(self, sample: Sample) -> Mapping[str, Bytes]:
-        return self._keep(sample.provenance.index, encode_sample(sample))
-
-    def _keep(self, position: int, members: Mapping[str, Bytes]) -> Mapping[str, Bytes]:
+        members = encode_sample(sample)
         if self._sample_cache is not None:
-            self._sample_cache.keep(position, members)
+            self._sample_cache.keep(sample.provenance.index, members)
         return members
 
     def _cached(self, position: int, fields: Iterable[str] | None = None) -> Mapping[str, Bytes] | None:

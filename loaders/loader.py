@@ -1,6 +1,5 @@
 """``GarmentLoader``: resumable batches; after any interruption no garment is lost or repeated."""
 
-import copy
 import hashlib
 import random
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, MutableMapping, Sequence, Sized
@@ -14,13 +13,11 @@ import torch
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from gcd_dataset.errors import ConfigError, GcdError
-from gcd_dataset.loaders.base import Garments, SelectedGarments, load_items, require_callable, require_integer
+from gcd_dataset.loaders.base import Garments, UserCode, is_of_package, load_items, require_callable, require_integer
 from gcd_dataset.loaders.batches import collate_list, collate_packed, collate_padded
-from gcd_dataset.loaders.mixed import MixedDataset
 from gcd_dataset.loaders.order import ElasticSampler, Pad, RankShare
 from gcd_dataset.loaders.ranks import current_rank, require_rank
 from gcd_dataset.loaders.states import dataset_entries, position_in_state, require_whole
-from gcd_dataset.loaders.transforms import Augmented
 from gcd_dataset.loaders.worker import begin_worker, require_semaphores, sent, unwrap, with_traceback
 from gcd_dataset.workers import prefetch
 
@@ -28,8 +25,6 @@ if TYPE_CHECKING:
     from gcd_dataset.loaders.views import Views
 
 Collate: TypeAlias = Callable[[list[Any]], Any]
-UserCode: TypeAlias = Callable[[Any, int], Any]
-"""``(item, index)`` to the transformed item."""
 
 COLLATES = (collate_list, collate_packed, collate_padded)
 BATCHES_AHEAD = 2  # batches that a thread prefetches
@@ -324,17 +319,21 @@ class IndexedBatches:
 class BatchMaker(Dataset):
     """Makes a batch from its indices, in the training process or a worker; errors get a note that names the garments.
 
-    Items are loaded without users' code where possible (``separate_user_code``). Users' code runs with the global
+    Items of our own data sets are loaded without users' code. Users' code runs with the global
     random streams seeded by seed, epoch and index: the same with any number of workers, and the model's streams are
     untouched.
     """
 
     def __init__(self, dataset: Dataset, collate_fn: Collate, seed: int, views: "Views | None" = None) -> None:
-        self._plain, self._user_code = separate_user_code(dataset)
+        self._plain: Dataset = dataset
+        self._user_code: UserCode | None = None
+        if isinstance(dataset, Garments):
+            self._plain, self._user_code = dataset._separated()
         self._collate, self._seed, self._views = collate_fn, seed, views
-        self.is_user_dataset = not is_package_code(type(self._plain))
+        self.is_user_dataset = not is_of_package(type(self._plain))
         """Whether the data set's class is defined outside this package: users' code then makes the whole item."""
-        self.has_user_code = self.is_user_dataset or self._user_code is not None or not is_package_code(collate_fn)
+        is_user_collate = (collate_fn.func if isinstance(collate_fn, partial) else collate_fn) not in COLLATES
+        self.has_user_code = self.is_user_dataset or self._user_code is not None or is_user_collate
 
     def __getitems__(self, step: Step) -> Any:
         """``(step, batch)``, as a ``DataLoader`` requests it from a worker; on failure the error, as a value."""
@@ -553,65 +552,3 @@ class isolated_rng:  # noqa: N801 -- a context manager, named as functions are
         torch.set_rng_state(torch_state)
         np.random.set_state(numpy_state)  # noqa: NPY002
         random.setstate(python_state)
-
-
-def separate_user_code(dataset: Dataset) -> tuple[Dataset, UserCode | None]:
-    """A data set without users' transforms, and a function that applies them; ``None`` if there are none.
-
-    A data set of a user's class stays as it is.
-    """
-    if isinstance(dataset, SelectedGarments):
-        return _selected(dataset)
-    if isinstance(dataset, Augmented):
-        whole, first = separate_user_code(dataset.whole)
-        return whole, partial(_chained, first, dataset._augmented)
-    if isinstance(dataset, MixedDataset):
-        return _mixed(dataset)
-    if isinstance(dataset, Garments) and is_package_code(type(dataset)) and dataset.transform is not None:
-        return _without_transform(dataset), dataset._transformed
-    return dataset, None
-
-
-def is_package_code(code: Any) -> bool:
-    """Whether a class or ``collate_fn`` is of this package, and so draws no global random numbers."""
-    if isinstance(code, type):
-        return code.__module__.partition(".")[0] == __name__.partition(".")[0]
-    return (code.func if isinstance(code, partial) else code) in COLLATES
-
-
-def _without_transform(dataset: Garments) -> Any:
-    plain = copy.copy(dataset)
-    plain.transform = None
-    return plain
-
-
-def _selected(dataset: SelectedGarments) -> tuple[Dataset, UserCode | None]:
-    whole, transform = separate_user_code(dataset.whole)
-    if transform is None:
-        return dataset, None
-    plain = _without_transform(dataset)
-    plain.whole = whole
-    return plain, partial(_transform_selected, transform, dataset)
-
-
-def _mixed(dataset: MixedDataset) -> tuple[Dataset, UserCode | None]:
-    parts = [separate_user_code(part) for part in dataset.datasets]
-    if dataset.transform is None and all(transform is None for _, transform in parts):
-        return dataset, None
-    plain = _without_transform(dataset)
-    plain.datasets = tuple(part for part, _ in parts)
-    return plain, partial(_transform_mixed, [transform for _, transform in parts], dataset)
-
-
-def _chained(first: UserCode | None, second: UserCode, item: Any, index: int) -> Any:
-    return second(item if first is None else first(item, index), index)
-
-
-def _transform_selected(transform: UserCode, dataset: SelectedGarments, item: Any, index: int) -> Any:
-    return transform(item, int(dataset.positions[index]))
-
-
-def _transform_mixed(transforms: list[UserCode | None], dataset: MixedDataset, item: Any, index: int) -> Any:
-    part, part_index = dataset.source(index)
-    transform = transforms[part]
-    return dataset._transformed(item if transform is None else transform(item, part_index), index)

@@ -5,7 +5,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from heapq import heapify, heappop, heappush
 from math import gcd, lcm
 from typing import Any
@@ -16,6 +16,7 @@ from gcd_dataset.loaders.base import (
     IndexRangeError,
     Transform,
     UnknownKeyError,
+    UserCode,
     load_items,
     require_garments,
     require_integer,
@@ -123,6 +124,17 @@ class MixedDataset(Garments):
         """Identities of the data sets, weights and seed."""
         parts = [dataset.identity() for dataset in self.datasets]
         return {"parts": parts, "weights": self.weights, "seed": self._seed}
+
+    def _separated(self) -> tuple[Garments, UserCode | None]:
+        parts, codes = zip(*(dataset._separated() for dataset in self.datasets), strict=True)
+        if self.transform is None and not any(codes):
+            return self, None
+        return self._with(datasets=parts, transform=None), partial(self._transformed_by, codes)
+
+    def _transformed_by(self, codes: Sequence[UserCode | None], item: Any, index: int) -> Any:
+        part, part_index = self.source(index)
+        code = codes[part]
+        return self._transformed(item if code is None else code(item, part_index), index)
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         part, part_index = self.source(position)

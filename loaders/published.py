@@ -136,7 +136,8 @@ class PublishedGarmentCodeData(Garments):
 
     def sample(self, index: int | str) -> Sample:
         """Garment ``index`` with everything published. Raises ``ShardError``, ``IndexError``."""
-        return self._sample(self._position(index), MEMBERS)
+        position = self._position(index)
+        return self._sample_of(self._garments.garment(position), position, MEMBERS)
 
     def body(self, index: int) -> Body:
         """The body that garment ``index`` was draped on. Raises ``BodyError`` where its mesh is not on disk.
@@ -163,14 +164,15 @@ class PublishedGarmentCodeData(Garments):
         # The file's own measures: the record would have fewer names, and angles in radians.
         return encoded | {MEASURES: json.dumps(garment.measures).encode()} if MEASURES in members else encoded
 
-    def _sample(self, position: int, members: Iterable[str]) -> Sample:
-        """A garment; only the files for ``members`` are read."""
-        return self._sample_of(self._garments.garment(position), position, members)
-
     def _sample_of(self, garment: PublishedGarment, position: int, members: Iterable[str]) -> Sample:
+        """A garment; only the files for ``members`` are read."""
         wanted = set(members)
         garment.fetch({kind for member in wanted for kind in FILES[member]})
-        provenance, with_meta = self._provenance(position), META in wanted
+        provenance, with_meta, drape = self._provenance(position), META in wanted, None
+        if with_meta:
+            drape = garment.drape
+        elif "verts.z" in wanted:  # the figures are in meta.json, which is not requested
+            drape = Drape(garment.vertices, Outcome.SETTLED, 0, 0, 0, 1.0, 1.0)
         return Sample(
             key=key_of(provenance.index),
             provenance=replace(provenance, body_name=garment.body_name) if with_meta else provenance,
@@ -178,7 +180,7 @@ class PublishedGarmentCodeData(Garments):
             measurements=garment.measurements if wanted & MEMBERS_FROM["measures"] else Measurements(),
             design=garment.design if wanted & MEMBERS_FROM["design"] else {},
             box_mesh=garment.box_mesh if wanted & MEMBERS_FROM["box"] else None,
-            drape=garment.drape if with_meta else _vertices_only(garment) if wanted & {"verts.z"} else None,
+            drape=drape,
             points=_points(garment, provenance.source) if wanted & {"points.z"} else None,
             gathers=_gathers(garment.pattern) if with_meta else (),
             front=_jpeg_on_white(garment, "front") if wanted & MEMBERS_FROM["front"] else None,
@@ -202,11 +204,6 @@ def _gathers(pattern: Pattern) -> tuple[float, ...]:
         return pattern.gather_ratios()
     except (PatternError, IndexError):
         return ()
-
-
-def _vertices_only(garment: PublishedGarment) -> Drape:
-    """The draped vertices, with dummy figures: ``meta.json`` is not requested."""
-    return Drape(garment.vertices, Outcome.SETTLED, 0, 0, 0, 1.0, 1.0)
 
 
 def _points(garment: PublishedGarment, source: str) -> Float[np.ndarray, "n 6"]:

@@ -4,7 +4,7 @@ import hashlib
 import json
 import operator
 import zlib
-from collections.abc import Mapping, Sequence, Sized
+from collections.abc import Mapping, Sized
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,9 @@ def dataset_entries(dataset: object) -> dict[str, str]:
     them; for any other data set ``dataset`` is the name of its class.
     """
     known = _identity(dataset)
-    return {"dataset": known if isinstance(known, str) else _hash(known), "garments": _description(dataset, known)}
+    content = json.dumps(known, sort_keys=True).encode()
+    exact = known if isinstance(known, str) else hashlib.sha256(content).hexdigest()[:16]
+    return {"dataset": exact, "garments": _description(dataset, known)}
 
 
 def position_in_state(state: Mapping[str, Any], order: Mapping[str, Any], dataset: Mapping[str, str]) -> int:
@@ -91,10 +93,6 @@ def _short_repr(value: Any) -> str:
     return text if len(text) <= LONGEST_REPR else f"{text[:LONGEST_REPR]}…"
 
 
-def _hash(content: Any) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
-
-
 def _identity(dataset: object) -> Any:
     """JSON that identifies a data set, independent of its path; for an unknown class the name of the class."""
     if isinstance(dataset, Garments):
@@ -103,14 +101,11 @@ def _identity(dataset: object) -> Any:
     if callable(identity := getattr(dataset, "identity", None)):
         return {"class": kind, "identity": identity()}
     if isinstance(dataset, Subset):
-        return {"of": _identity(dataset.dataset), "chosen": _checksum(dataset.indices)}
+        chosen = zlib.crc32(np.asarray(dataset.indices, np.int64).tobytes())
+        return {"of": _identity(dataset.dataset), "chosen": chosen}
     if isinstance(dataset, ConcatDataset):
         return {"joined": [_identity(part) for part in dataset.datasets]}
     return kind
-
-
-def _checksum(indices: Sequence[int]) -> int:
-    return zlib.crc32(np.asarray(indices, np.int64).tobytes())
 
 
 def _description(dataset: object, known: Any) -> str:

@@ -12,6 +12,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -23,6 +24,7 @@ from gcd_dataset.loaders.base import (
     DerivedGarments,
     Garments,
     Item,
+    UserCode,
     as_transform_error,
     load_items,
     require_callable,
@@ -213,6 +215,13 @@ class Augmented(DerivedGarments):
 
     def _load(self, position: int) -> Any:
         return self._augmented(self.whole[position], position)
+
+    def _separated(self) -> tuple[Garments, UserCode | None]:
+        whole, code = self.whole._separated()
+        return whole, self._augmented if code is None else partial(self._augmented_after, code)
+
+    def _augmented_after(self, code: UserCode, item: Item, position: int) -> Item:
+        return self._augmented(code(item, position), position)
 
     def _find_key(self, key: str) -> int | None:
         return self.whole._find_key(key)

@@ -10,7 +10,7 @@ Where pictures are rendered:
 import contextlib
 import threading
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -138,8 +138,9 @@ class Views(SceneTransform):
         if isinstance(batch, list):
             return [GarmentItem({**item, **entries}) for item, entries in zip(batch, added, strict=True)]
         joined = (collate_packed if isinstance(batch, PackedBatch) else collate_padded)(added)
+        is_pinned = torch.cuda.is_available() and "verts" in batch and batch["verts"].is_pinned()
         for name, value in joined.items():
-            batch[name] = pin_tensor(value) if isinstance(value, Tensor) and _is_pinned(batch) else value
+            batch[name] = pin_tensor(value) if isinstance(value, Tensor) and is_pinned else value
         return batch
 
     def _draw(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
@@ -288,10 +289,6 @@ def _unpadded(batch: PaddedBatch, number: int) -> Item:
         for field in VIEW_FIELDS
         if field in batch
     }
-
-
-def _is_pinned(batch: Mapping[str, Any]) -> bool:
-    return torch.cuda.is_available() and "verts" in batch and batch["verts"].is_pinned()
 
 
 def _known_maps(maps: Sequence["MapName"]) -> tuple["MapName", ...]:

@@ -1,5 +1,6 @@
 """Draping processes that are killed, or whose clients are: each test starts its own."""
 
+import importlib
 import os
 import resource
 import signal
@@ -14,10 +15,12 @@ from multiprocessing.connection import Listener
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Dataset
 
 from gcd_dataset.errors import DrapeError
+from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import DraperAddress, SharedDraper
 from gcd_dataset.generator.drapers.address import _create, socket_file
 from gcd_dataset.generator.maker import produce
@@ -99,6 +102,26 @@ def test_more_requests_may_wait_than_the_soft_limit_of_open_files(address: Drape
         assert draper.receive().number in range(150)
 
 
+class WithWarp(Dataset):
+    """The items of a data set, and whether Warp is initialised: with a GPU that takes a CUDA context."""
+
+    def __init__(self, whole: Apart) -> None:
+        self.whole = whole
+
+    def __len__(self) -> int:
+        return len(self.whole)
+
+    def __getitem__(self, index: int) -> Any:
+        return self.whole[index], importlib.import_module("warp._src.context").runtime is not None
+
+
+def test_a_spawned_worker_gets_the_same_drapes_and_initialises_no_warp(address: DraperAddress) -> None:
+    options: dict[str, Any] = {"num_workers": 1, "multiprocessing_context": "spawn", "collate_fn": collate_list}
+    found = [entry for [entry] in DataLoader(WithWarp(Apart(COUNT, address)), batch_size=1, **options)]
+    assert_all_same([item for item, _ in found], items())
+    assert not any(initialised for _, initialised in found)
+
+
 def test_a_draper_killed_under_a_loader_is_one_error(address: DraperAddress) -> None:
     loader = iter(DataLoader(Apart(50, address), batch_size=1, num_workers=1, collate_fn=collate_list, timeout=120))
     next(loader)
@@ -141,6 +164,26 @@ def test_workers_are_distributed_over_the_draping_processes(address: DraperAddre
     assert [len(drapers(each)) for each in addresses] == [1, 1]
     (addresses[1].folder / "owner").unlink()
     kill_drapers(addresses[1])
+
+
+def test_a_failing_draper_reports_the_error_and_is_replaced(
+    address: DraperAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even if another client does not read its replies."""
+    monkeypatch.setattr(DrapeJob, "require_drapeable", lambda job: None)  # this process sends what it would refuse
+    with SharedDraper(address) as deaf, SharedDraper(address) as draper:
+        deaf.send(replace(drape_request(0), picture=400))
+        assert deaf._connection.poll(120)  # its reply has begun; the unread rest blocks the draper's writer
+        good = drape_request(1)
+        torn = replace(good.job.box_mesh, labels={"strapless_top": np.array([10**6])})
+        draper.send(replace(good, job=replace(good.job, box_mesh=torn)))
+        with pytest.raises(
+            DrapeError, match=r"draping on cpu: index 1000000 is out of bounds .*; start again, on other"
+        ):
+            draper.receive()
+        with SharedDraper(address) as other:
+            other.send(good)
+            assert other.receive().number == 1
 
 
 def test_a_killed_worker_does_not_hold_up_others(address: DraperAddress) -> None:

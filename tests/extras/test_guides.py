@@ -5,6 +5,7 @@ A block of commands with a title is not run: its title states the cluster, serve
 
 import ast
 import re
+import shutil
 import textwrap
 from pathlib import Path
 
@@ -15,15 +16,16 @@ from tests.extras.guide import ROOT, Block, blocks_of, run
 DOCS = ROOT / "docs"
 SMALLER = {
     "index": {
-        "GeneratedGarments(10_000, seed=0)": "GeneratedGarments(2, seed=0, resolution=6.0, picture=32)",
-        "--count 1000 --seed 7 --bodies both": "--count 8 --seed 7 --bodies both --stage mesh --resolution 5",
+        "GeneratedGarments(10_000, seed=0)": "GeneratedGarments(2, seed=0, resolution=9.0, picture=32)",
+        "--count 1000 --seed 7 --bodies both": "--count 8 --seed 7 --bodies both --stage mesh --resolution 8",
     },
     "pictures": {
-        "--count 48 --resolution 2": "--count 2 --resolution 5",
-        "--count 1000 --views 8 --view-size 512": "--count 4 --resolution 6 --views 2 --view-size 48",
-        "Views(n=4, size=256": "Views(n=2, size=48",
-        "size=256, maps": "size=48, maps",
-        "MakeConfig(resolution=2.0)": "MakeConfig(resolution=5.0)",
+        "--count 48 --resolution 2": "--count 2 --resolution 9 --picture 0",
+        "--count 1000 --views 8 --view-size 512": "--count 1 --resolution 9 --picture 0 --views 2 --view-size 32",
+        "--index 3 --png": "--index 0 --png",
+        "Views(n=4, size=256": "Views(n=2, size=32",
+        "size=256, maps": "size=32, maps",
+        "MakeConfig(resolution=2.0)": "MakeConfig(resolution=9.0)",
     },
     "scans": {"points=4096": "points=512"},
     "sketches": {"size=512": "size=64"},
@@ -32,7 +34,7 @@ SMALLER = {
         "FORMAT FILE... --out PREDICTIONS": "specification TRUTH --out imported",
         "compare FIRST SECOND": "compare scores.json scores.json",
     },
-    "guides/train": {"--count 1000": "--count 40", "EPOCHS = 25": "EPOCHS = 2"},
+    "guides/train": {"--count 1000": "--count 40", "--resolution 3": "--resolution 6", "EPOCHS = 25": "EPOCHS = 2"},
     "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 8 --bodies both --resolution 9"},
     "guides/generate": {
         "--count 10000 --seed 7 --bodies both --device cuda:0": "--count 4 --resolution 5 --device cpu --picture 64",
@@ -40,16 +42,20 @@ SMALLER = {
             'GeneratedGarments(4, cache_dir="kept", fields=fields, resolution=6.0)'
         ),
     },
+    "guides/own-body": {"--resolution 3": "--resolution 7", "spacing=3.0": "spacing=7.0"},
+    "guides/own-fabric": {"--resolution 3": "--resolution 7", "resolution=3.0": "resolution=7.0"},
+    "guides/own-garment": {"--resolution 2.5": "--resolution 7"},
+    "concepts/drape": {"resolution=3.0": "resolution=7.0"},
+    "concepts/index": {"spacing=3.0": "spacing=7.0"},
+    "concepts/sample": {"GeneratedGarments(4, seed=3, resolution=3.0": "GeneratedGarments(2, seed=3, resolution=9.0"},
 }
 """Document to the texts of its blocks that a test replaces: fewer garments, coarser meshes, no GPU."""
-GARMENTS = "gcd generate garments --count 2 --resolution 6 --picture 0 --quiet"
+DRAPED = {"scans": "garments", "sketches": "garments", "exports": "shards"}
+"""Document to the name of a folder with two draped garments, which it takes for granted."""
 BEFORE = {
-    "scans": [GARMENTS],
-    "sketches": [GARMENTS],
-    "exports": ["gcd generate shards --count 2 --resolution 6 --picture 0 --quiet"],
-    "evaluate": ["gcd generate garments --count 30 --stage pattern --seed 3 --quiet", "python specifications.py"],
+    "evaluate": ["gcd generate garments --count 20 --stage pattern --seed 3 --quiet", "python specifications.py"],
 }
-"""Document to the commands that make what it takes for granted."""
+"""Document to the commands that make what else it takes for granted."""
 SPECIFICATIONS = """
 import json
 from pathlib import Path
@@ -69,9 +75,18 @@ NEEDS_SERVERS = {"stores"}  # its commands need buckets; tests/extras/test_stora
 OWN_TESTS = {"training", "viewer", "check", "reconstruction"}  # the commands of these pages are tested elsewhere
 
 
+@pytest.fixture(scope="module")
+def draped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("draped")
+    run(folder, *["gcd", "generate", "made", "--count", "2", "--resolution", "9", "--picture", "0", "--quiet"])
+    return folder / "made"
+
+
 @pytest.mark.parametrize("name", GUIDES)
-def test_the_guide_runs(name: str, tmp_path: Path) -> None:
+def test_the_guide_runs(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     (tmp_path / "specifications.py").write_text(SPECIFICATIONS)
+    if name in DRAPED:
+        shutil.copytree(request.getfixturevalue("draped"), tmp_path / DRAPED[name])
     for line in BEFORE.get(name, []):
         run(tmp_path, *line.split())
     ran = 0

@@ -2,15 +2,20 @@
 
 import gc
 import multiprocessing
+import os
+import random
+import signal
 import subprocess
 import sys
 import threading
 import time
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
+import torch
 from torch.utils.data import DataLoader
 
 from gcd_dataset.loaders import (
@@ -22,7 +27,6 @@ from gcd_dataset.loaders import (
     PointNoise,
     collate_list,
 )
-from tests.loaders.test_loader import require_resumed
 from tests.loaders.test_shards import same
 from tests.shards.folders import fill
 
@@ -32,7 +36,7 @@ def test_a_run_killed_at_any_batch_resumes(workers: int, tmp_path: Path) -> None
     """By a thread, and by a worker process, which the kill orphans."""
     ds = FakeGarments(10, fields=["meta"])
     stored = GarmentDataset(fill(tmp_path / "data", range(10)), fields=["meta"])
-    require_resumed(ds if workers else stored, workers, tmp_path / "run.pt", kills=20)
+    require_resumed(ds if workers else stored, workers, tmp_path / "run.pt", kills=8)
 
 
 def test_a_killed_training_leaves_no_workers() -> None:
@@ -134,16 +138,11 @@ def test_a_program_can_end_while_items_are_made() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_set_epoch_reaches_a_persistent_spawned_worker() -> None:
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_set_epoch_reaches_a_persistent_worker(method: str) -> None:
     ds = Augmented(FakeGarments(2, fields=["points"]), PointNoise(1.0))
-    loader = DataLoader(
-        ds,
-        batch_size=2,
-        num_workers=1,
-        persistent_workers=True,
-        multiprocessing_context="spawn",
-        collate_fn=collate_list,
-    )
+    options: dict[str, Any] = {"num_workers": 1, "persistent_workers": True, "multiprocessing_context": method}
+    loader = DataLoader(ds, batch_size=2, collate_fn=collate_list, **options)
     [first] = loader
     ds.set_epoch(1)
     [second] = loader
@@ -168,3 +167,116 @@ def test_the_main_process_does_not_initialise_cuda() -> None:
         "sys.exit('warp' in sys.modules or torch.cuda.is_initialized())\n"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def ids(batch: Any) -> list[int]:
+    """Indices of a batch's garments."""
+    return [meta["index"] for meta in batch["meta"]]
+
+
+def train(ds: Any, workers: int, epochs: int, log: Path, tell: Connection) -> None:
+    """A training that logs its indices with its state, and resumes from the log."""
+    loader = GarmentLoader(ds, 4, num_workers=workers)
+    seen: list[int] = []
+    if log.exists():
+        kept = torch.load(log)
+        seen = kept["seen"]
+        loader.load_state_dict(kept["state"])
+    while loader.epoch < epochs:
+        for batch in loader:
+            seen += ids(batch)
+            torch.save({"seen": seen, "state": loader.state_dict()}, log.with_suffix(".part"))
+            log.with_suffix(".part").replace(log)
+            tell.send(len(seen))
+    tell.send(None)
+
+
+def require_resumed(ds: Any, workers: int, log: Path, *, kills: int) -> None:
+    """Kill a training at ``kills`` random batches; the runs together must see the batches of one whole run."""
+    chance, fork, epochs = random.Random(0), multiprocessing.get_context("fork"), kills
+
+    def run(batches: int | None) -> None:
+        """Resume the training, and kill it during the batch after ``batches`` more."""
+        hear, tell = fork.Pipe(duplex=False)
+        child = fork.Process(target=train, args=(ds, workers, epochs, log, tell))
+        child.start()
+        tell.close()
+        received = 0
+        while hear.recv() is not None:
+            received += 1
+            if received == batches:
+                child.kill()
+                break
+        else:
+            assert batches is None
+        child.join()
+
+    for _ in range(kills):
+        run(chance.randint(1, 3))
+    run(None)
+    whole = GarmentLoader(ds, 4)
+    assert torch.load(log)["seen"] == [number for _ in range(epochs) for batch in whole for number in ids(batch)]
+
+
+class Watched(DataLoader):
+    """A ``DataLoader`` whose worker queue the test can read."""
+
+    sent: ClassVar[list[Connection]] = []
+
+    def __iter__(self) -> Any:
+        made: Any = super().__iter__()
+        self.sent.append(made._worker_result_queue._reader)
+        return made
+
+
+def test_tensors_are_received_without_a_reply_of_the_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy worker, here stopped by a signal, cannot reply."""
+    monkeypatch.setattr("gcd_dataset.loaders.fresh.DataLoader", Watched)
+    others = set(multiprocessing.active_children())
+    made = iter(FreshGarments(FakeGarments(99, fields=["meta", "verts"]), room=1, workers=1))
+    next(made)
+    [worker] = set(multiprocessing.active_children()) - others
+    assert worker.pid is not None
+    assert Watched.sent.pop().poll(120)  # the worker has made the next item
+    os.kill(worker.pid, signal.SIGSTOP)
+    goes_on = threading.Timer(30.0, os.kill, (worker.pid, signal.SIGCONT))
+    goes_on.start()
+    item = next(made)
+    assert goes_on.is_alive(), "waited for the worker"
+    goes_on.cancel()
+    os.kill(worker.pid, signal.SIGCONT)
+    assert item["verts"].isfinite().all()
+
+
+class Uneven(FakeGarments):
+    """Makes the last garment once ``last`` is set, the others immediately."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__(count, fields=["meta"])
+        self.last = multiprocessing.Event()
+
+    def __getitem__(self, index: Any) -> Any:
+        if index == len(self) - 1:
+            self.last.wait()
+        return super().__getitem__(index)
+
+
+def test_a_worker_that_exits_early_does_not_block_the_end() -> None:
+    ds = Uneven(4)
+    made = iter(FreshGarments(ds, workers=2, room=1))
+    given: list[int] = []
+
+    def take() -> None:
+        given.extend(item["meta"]["index"] for item in made)
+
+    thread = threading.Thread(target=take, daemon=True)
+    others = set(multiprocessing.active_children())
+    given.append(next(made)["meta"]["index"])
+    first, _ = sorted(set(multiprocessing.active_children()) - others, key=lambda worker: worker.pid or 0)
+    thread.start()
+    first.join(60)
+    assert first.exitcode == 0
+    ds.last.set()
+    thread.join(60)
+    assert not thread.is_alive()
+    assert given == [0, 1, 2, 3]

@@ -6,6 +6,7 @@ import trimesh
 
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.records import Body
+from gcd_dataset.loaders import GeneratedGarments
 from tests.generator.body.test_population import require_the_surveys_statistics
 from tests.helpers import body_from
 from tools.body_model.anny_bodies import rotation_between
@@ -110,3 +111,10 @@ def test_a_rotation_takes_one_direction_to_the_other() -> None:
     assert turn @ start / 2.0 == pytest.approx(end / np.sqrt(3.0))
     assert turn @ turn.T == pytest.approx(np.eye(3))
     assert np.linalg.det(turn) == pytest.approx(1.0)
+
+
+def test_a_wearer_of_few_garments_does_not_stop_a_data_set() -> None:
+    """No fitted shirt suits her, and by chance her first twenty designs are all fitted shirts."""
+    item = GeneratedGarments(33_546, seed=0, stage="pattern", drape=None, fields=("meta", "panels"))[33_545]
+    assert item["meta"]["attempts"] > 20
+    assert len(item["panels"])

@@ -24,7 +24,7 @@ CPU = torch.device("cpu")
 
 @cache
 def skirts() -> GarmentSet:
-    return generated(4, 0, points=64, extra=SURFACES, resolution=6.0, design=SKIRTS)
+    return generated(4, 0, points=64, extra=SURFACES, resolution=8.0, design=SKIRTS)
 
 
 def by_heart(model: str, steps: int, **options: Any) -> tuple[list[Any], list[dict[str, float]]]:
@@ -54,7 +54,7 @@ def test_the_measures_of_four_bodies() -> None:
 
 
 def test_the_drapes_of_four_garments() -> None:
-    scores, curve = by_heart("drape_surrogate", 300)
+    scores, curve = by_heart("drape_surrogate", 200)
     assert curve[-1]["loss"] < curve[0]["loss"] / 5
     assert np.mean([score.error_cm for score in scores]) < 3.0
 
@@ -76,7 +76,7 @@ def test_the_command_trains_and_scores(
     model: str, task: str, headline: str, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, data = tmp_path_factory.mktemp(model), tmp_path_factory.getbasetemp() / "garments"
-    flags = ["--task", task, "--smoke", "--train", "4", "--test", "2", "--resolution", "6", "--steps", "3"]
+    flags = ["--task", task, "--smoke", "--train", "4", "--test", "2", "--resolution", "8", "--steps", "3"]
     assert main([model, *flags, "--device", "cpu", "--data", str(data), "--out", str(out)]) == 0
     assert f"{task}.{model}.{headline} " in capsys.readouterr().out
     report = json.loads((out / "report.json").read_text())

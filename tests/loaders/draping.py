@@ -15,7 +15,7 @@ from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GeneratedGarments
 
-COUNT = 3
+COUNT = 2
 SKIRTS = Overlay.from_dict({"meta": {"upper": None, "bottom": "PencilSkirt"}})  # settle soon
 OPTIONS: dict[str, Any] = {
     "seed": 5, "resolution": 10.0, "device": "cpu", "picture": 32, "on_fail": "keep", "design": SKIRTS,

@@ -1,5 +1,8 @@
 """Batches of ragged garments: row numbers keep their meaning."""
 
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -8,10 +11,21 @@ from torch.utils._pytree import tree_map
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders import FakeGarments, PackedBatch, PaddedBatch, collate_list, collate_packed, collate_padded
-from gcd_dataset.loaders.batches import copy_tensor
-from gcd_dataset.tensors import EdgeColumn
-from tests.loaders.test_shards import same as all_same
+from gcd_dataset.loaders import (
+    FakeGarments,
+    GarmentDataset,
+    PackedBatch,
+    PaddedBatch,
+    collate_list,
+    collate_packed,
+    collate_padded,
+    mesh_edges,
+    seam_graph,
+    to_pyg,
+)
+from gcd_dataset.loaders.batches import RAGGED, copy_tensor
+from tests.loaders.test_shards import same
+from tests.shards.folders import fill
 
 B = 5
 
@@ -27,66 +41,39 @@ def batch(items: list[dict[str, Any]]) -> PackedBatch:
     return collate_packed(items)
 
 
-def rows_of(batch: dict[str, Any], field: str, k: int) -> torch.Tensor:
-    """Rows of garment k."""
-    first, last = batch[f"{field}_ptr"][k : k + 2].tolist()
-    rows: torch.Tensor = batch[field][first:last]
-    return rows
+POINTERS = (
+    *(("faces", slice(0, 3), target) for target in ("verts", "box")),
+    *((field, slice(0, 1), target) for field in ("labels", "seams") for target in ("verts", "box")),
+    *(("seams", slice(1, 2), "stitches"), ("corners", slice(0, 3), "uv"), ("stitches", slice(0, 2), "edges")),
+    *(("uv_vertex", None, "verts"), ("panel_id", None, "panels"), ("edges", slice(0, 1), "panels")),
+)
+"""Field, its columns of row numbers, and the field that these index."""
 
 
-def test_garments_differ_in_size(items: list[dict[str, Any]]) -> None:
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_row_numbers_index_the_arrays_of_the_batch(dtype: torch.dtype, tmp_path: Path) -> None:
+    """Of garments made on demand, and of the columns of stored ones, also in a type that NumPy lacks."""
+    stored = GarmentDataset(fill(tmp_path, range(B)), dtype=dtype)
+    items: list[Any] = list(stored.__getitems__(range(B)))
     assert len({len(item["verts"]) for item in items}) > 1
-
-
-def test_packed_rows_are_those_of_the_garments(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
-    assert batch["batch_size"] == B
-    for k, item in enumerate(items):
-        for field in ("verts", "box", "uv", "panels"):
-            assert torch.equal(rows_of(batch, field, k), item[field])
-
-
-def test_faces_index_the_vertices_of_the_batch(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
-    for k, item in enumerate(items):
-        for positions in ("verts", "box"):
-            assert torch.equal(batch[positions][rows_of(batch, "faces", k)], item[positions][item["faces"]])
-        assert torch.equal(batch["uv"][rows_of(batch, "corners", k)], item["uv"][item["corners"]])
-    assert torch.equal(batch["uv_vertex"][batch["corners"]], batch["faces"])
-
-
-def test_seams_and_labels_index_vertices_and_stitches_of_the_batch(
-    items: list[dict[str, Any]], batch: dict[str, Any]
-) -> None:
-    for k, item in enumerate(items):
-        seams, labels = rows_of(batch, "seams", k), rows_of(batch, "labels", k)
-        assert torch.equal(batch["verts"][seams[:, 0]], item["verts"][item["seams"][:, 0]])
-        start = batch["stitches_ptr"][k]
-        assert torch.equal(seams[:, 1] - start, item["seams"][:, 1])
-        assert torch.equal(batch["verts"][labels[:, 0]], item["verts"][item["labels"][:, 0]])
-        assert torch.equal(labels[:, 1], item["labels"][:, 1])
-
-
-def test_stitches_join_the_same_edges_and_panels(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
-    for k, item in enumerate(items):
-        stitches, edges, panels = (rows_of(batch, field, k) for field in ("stitches", "edges", "panel_id"))
-        assert torch.equal(
-            batch["edges"][stitches[:, :2]][..., 1:], item["edges"][item["stitches"][:, :2].long()][..., 1:]
-        )
-        assert torch.equal(stitches[:, 2], item["stitches"][:, 2])
-        own = edges[:, EdgeColumn.PANEL].long()
-        assert torch.equal(batch["panels"][own], item["panels"][item["edges"][:, EdgeColumn.PANEL].long()])
-        assert torch.equal(batch["panels"][panels], item["panels"][item["panel_id"]])
-
-
-def test_collate_leaves_the_items_unchanged(items: list[dict[str, Any]]) -> None:
-    before = [item["faces"].clone() for item in items]
-    collate_packed(items)
-    assert all(torch.equal(item["faces"], kept) for item, kept in zip(items, before, strict=True))
-
-
-def test_equal_shapes_are_stacked_and_json_is_listed(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
-    assert batch["body"].shape == (B, *items[0]["body"].shape)
-    assert batch["front"].shape == (B, 3, 16, 16)
-    assert [meta["index"] for meta in batch["meta"]] == list(range(B))
+    for given in (items, stored.__getitems__(range(B))):
+        before = [item["faces"].clone() for item in items]
+        batch = collate_packed(given)
+        assert all(torch.equal(item["faces"], kept) for item, kept in zip(items, before, strict=True))
+        assert batch.body.shape == (B, *items[0]["body"].shape)
+        assert batch.front.shape == (B, 3, 16, 16)
+        assert batch.meta == [item["meta"] for item in items]
+        for k, item in enumerate(items):
+            own = {f: batch[f][slice(*batch[f"{f}_ptr"][k : k + 2].tolist())] for f in item if f"{f}_ptr" in batch}
+            assert {*own} == {*RAGGED} & {*item}
+            pointing = {field for field, _, _ in POINTERS}
+            assert all(same(own[field], item[field]) for field in own if field not in pointing)
+            for field, columns, target in POINTERS:
+                ours, theirs = (rows[field] if columns is None else rows[field][:, columns] for rows in (own, item))
+                assert same(ours - batch[f"{target}_ptr"][k].to(ours.dtype), theirs), field
+            assert same(own["edges"][:, 1:], item["edges"][:, 1:])
+            assert same(own["stitches"][:, 2], item["stitches"][:, 2])
+            assert same(own["labels"][:, 1], item["labels"][:, 1])
 
 
 def test_the_field_that_row_numbers_index_is_required(items: list[dict[str, Any]]) -> None:
@@ -113,18 +100,6 @@ def test_garments_without_a_mesh_make_a_batch(items: list[dict[str, Any]]) -> No
     mesh = ("faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box", "verts")
     bare = [{**item, **{field: item[field][:0] for field in mesh}} for item in items]
     assert collate_packed(bare)["faces"].shape == (0, 3)
-
-
-def test_a_batch_can_be_pinned(batch: dict[str, Any]) -> None:
-    ds = FakeGarments(4)
-    loader = DataLoader(ds, batch_size=2, collate_fn=collate_packed, pin_memory=torch.cuda.is_available())
-    assert all(loaded["verts"].is_pinned() == torch.cuda.is_available() for loaded in loader)
-    moved = {name: value.to("cpu") for name, value in batch.items() if isinstance(value, torch.Tensor)}
-    assert {"verts", "verts_ptr", "faces", "front"} <= moved.keys()
-
-
-def same(a: Any, b: Any) -> bool:
-    return torch.equal(a, b) and a.dtype == b.dtype if isinstance(a, torch.Tensor) else bool(a == b)
 
 
 def test_garment_k_of_a_packed_batch_is_item_k(items: list[dict[str, Any]], batch: PackedBatch) -> None:
@@ -258,10 +233,10 @@ def test_tree_map_returns_a_batch(items: list[dict[str, Any]], collate: Any) -> 
     assert type(twice) is type(batch)
     assert list(twice) == list(batch)
     assert torch.equal(twice.verts, 2 * batch.verts)
-    assert all_same(twice["meta"], batch["meta"])
+    assert same(twice["meta"], batch["meta"])
     item = tree_map(lambda leaf: leaf, items[0])
     assert type(item) is type(items[0])
-    assert all_same(item, items[0])
+    assert same(item, items[0])
 
 
 @pytest.mark.parametrize("collate", [collate_packed, collate_padded])
@@ -303,3 +278,91 @@ def test_an_item_that_is_no_dict_is_refused(collate: Any, item: Any) -> None:
         ConfigError, match=rf"a {type(item).__name__}, not a dict .* the transform return .* collate_fn="
     ):
         collate([item, item])
+
+
+class Hetero(dict[Any, SimpleNamespace]):
+    """The part of ``HeteroData`` that is used."""
+
+    def __missing__(self, key: Any) -> SimpleNamespace:
+        return self.setdefault(key, SimpleNamespace())
+
+
+@pytest.fixture
+def pyg(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stand-in for PyTorch Geometric that records its arguments."""
+    package, data = ModuleType("torch_geometric"), ModuleType("torch_geometric.data")
+    vars(data).update(Data=SimpleNamespace, HeteroData=Hetero)
+    monkeypatch.setitem(sys.modules, "torch_geometric", package)
+    monkeypatch.setitem(sys.modules, "torch_geometric.data", data)
+
+
+def test_a_tube_is_two_panels_sewn_twice(items: list[dict[str, Any]]) -> None:
+    graph = seam_graph(items[0])
+    assert graph.next_edge.tolist() == [[0, 1, 2, 3, 4, 5, 6, 7], [1, 2, 3, 0, 5, 6, 7, 4]]
+    assert graph.edge_panel[1].tolist() == 4 * [0] + 4 * [1]
+    pairs = set(zip(*graph.sewn_edges.tolist(), strict=True))
+    assert pairs == {(1, 7), (7, 1), (3, 5), (5, 3)}
+    assert torch.equal(graph.edge_panel[1][graph.sewn_edges], graph.sewn_panels)
+
+
+def test_a_batch_is_the_disjoint_union_of_its_garments(items: list[dict[str, Any]], batch: PackedBatch) -> None:
+    whole = seam_graph(batch)
+    for name, first in (("next_edge", "edges"), ("sewn_edges", "edges"), ("sewn_panels", "panels")):
+        moved = [getattr(seam_graph(item), name) + batch[f"{first}_ptr"][k] for k, item in enumerate(items)]
+        ours, theirs = (sorted(pairs.T.tolist()) for pairs in (getattr(whole, name), torch.cat(moved, dim=1)))
+        assert ours == theirs
+
+
+def test_mesh_edges_satisfy_eulers_formula(items: list[dict[str, Any]]) -> None:
+    """For a tube open at both ends: vertices + faces = edges."""
+    for item in items:
+        pairs = mesh_edges(item["faces"])
+        assert len(item["verts"]) + len(item["faces"]) == pairs.shape[1] / 2
+        assert torch.equal(torch.unique(pairs.flip(0), dim=1), pairs)
+        assert (pairs[0] != pairs[1]).all()
+
+
+@pytest.mark.usefixtures("pyg")
+def test_meshes_for_pyg(items: list[dict[str, Any]], batch: PackedBatch) -> None:
+    one, all_ = to_pyg(items[0]), to_pyg(batch)
+    assert torch.equal(one.pos[one.face], items[0]["verts"][items[0]["faces"].T])
+    assert not hasattr(one, "batch")
+    assert torch.equal(all_.ptr, batch.verts_ptr)
+    assert torch.equal(all_.batch[all_.edge_index[0]], all_.batch[all_.edge_index[1]])
+    assert all_.face.dtype == all_.edge_index.dtype == torch.int64
+    undraped = {**items[0], "verts": items[0]["verts"][:0]}
+    assert torch.equal(to_pyg(undraped).pos, items[0]["box"])
+
+
+@pytest.mark.usefixtures("pyg")
+def test_patterns_for_pyg(items: list[dict[str, Any]], batch: PackedBatch) -> None:
+    data = to_pyg(batch, "pattern")
+    assert data["panel"].x.shape == (2 * B, 14)
+    alone = to_pyg(items[-1], "pattern")["edge"].x
+    assert alone.dtype == torch.float32
+    assert torch.equal(data["edge"].x[-len(alone) :], alone)  # features do not depend on the batch
+    assert data["panel"].batch.tolist() == [number for number in range(B) for _ in range(2)]
+    of = data["edge", "of", "panel"].edge_index
+    assert torch.equal(data["panel"].batch[of[1]], data["edge"].batch[of[0]])
+    assert data["edge", "sewn", "edge"].edge_index.shape == (2, 4 * B)
+    assert to_pyg(items[0], "pattern")["edge", "next", "edge"].edge_index.shape == (2, 8)
+
+
+def test_unknown_graphs_and_missing_fields_are_refused(
+    monkeypatch: pytest.MonkeyPatch, items: list[dict[str, Any]]
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch_geometric", None)
+    with pytest.raises(ConfigError, match="torch_geometric, which is not installed"):
+        to_pyg(items[0])
+    with pytest.raises(ConfigError, match="choose mesh or pattern"):
+        to_pyg(items[0], "points")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="the garment has no stitches: load that field too"):
+        seam_graph({"edges": items[0]["edges"]})
+    with pytest.raises(ConfigError, match="give an item or a packed batch"):
+        seam_graph(collate_padded(items))
+
+
+@pytest.mark.usefixtures("pyg")
+def test_a_mesh_needs_vertices(items: list[dict[str, Any]]) -> None:
+    with pytest.raises(ConfigError, match="the garment has faces but no vertices"):
+        to_pyg({"faces": items[0]["faces"]})

@@ -3,17 +3,12 @@
 import contextlib
 import gc
 import multiprocessing
-import os
-import signal
-import threading
 import weakref
 from collections import Counter
 from collections.abc import Sequence
 from itertools import islice
-from multiprocessing.connection import Connection
-from typing import Any, ClassVar
+from typing import Any
 
-import numpy as np
 import pytest
 from torch.utils.data import DataLoader
 
@@ -28,7 +23,7 @@ from gcd_dataset.loaders import (
     MixedDataset,
     PointNoise,
 )
-from tests.loaders.test_shards import assert_all_same, same
+from tests.loaders.test_shards import assert_all_same
 
 
 def fresh(n: int = 20, **options: Any) -> FreshGarments:
@@ -82,8 +77,8 @@ def test_an_endless_data_set_continues_in_the_next_epoch() -> None:
 class Counting(FakeGarments):
     """Records the indices of the garments made."""
 
-    def __init__(self, count: int, **options: Any) -> None:
-        super().__init__(count, fields=["meta"], **options)
+    def __init__(self, count: int) -> None:
+        super().__init__(count, fields=["meta", "points"])
         self.made: list[int] = []
 
     def _load(self, position: int) -> Any:
@@ -169,18 +164,18 @@ def test_an_error_of_a_worker_keeps_no_workers_alive() -> None:
 
 @pytest.mark.parametrize(
     ("replay", "room", "stop", "workers"),
-    [(1, 1, 7, 0), (2.5, 8, 3, 0), (3, 8, 40, 0), (3, 8, 40, 2), (2, 30, 79, 0), (2, 8, 100, 0)],
+    [(1, 1, 7, 0), (2.5, 4, 3, 0), (3, 4, 14, 2), (2, 9, 23, 0), (2, 4, 30, 0)],
 )
 def test_resuming_makes_no_earlier_garments(replay: float, room: int, stop: int, workers: int) -> None:
     options: dict[str, Any] = {"replay": replay, "room": room, "augment": PointNoise(1.0)}
-    whole = FreshGarments(FakeGarments(40), **options)
+    given = FakeGarments(12, fields=["meta", "points"])
+    whole, begun = FreshGarments(given, **options), FreshGarments(given, **options)
     items = [item for _ in range(2) for item in whole]
-    begun = FreshGarments(FakeGarments(40), **options)
     assert_all_same(islice(begun, stop), items[: min(stop, len(begun))])
     state = begun.state_dict()
     assert state["position"] == min(stop, len(begun))
 
-    ds = Counting(40)
+    ds = Counting(12)
     on = FreshGarments(ds, workers=workers, **options)
     on.load_state_dict(state)
     rest = [item["meta"]["index"] for item in on]
@@ -215,13 +210,6 @@ def test_a_resumed_loader_makes_no_earlier_garments() -> None:
     assert [indices(batch) for batch in on] == epochs[2]
 
 
-def test_the_state_of_another_order_is_refused() -> None:
-    state = fresh(replay=2).state_dict()
-    for other in (fresh(replay=3), fresh(21, replay=2), fresh(replay=2, seed=1), fresh(replay=2, room=3)):
-        with pytest.raises(ConfigError, match="the state of another order"):
-            other.load_state_dict(state)
-
-
 def test_only_the_last_iterator_moves_the_position() -> None:
     garments = fresh()
     first, second = iter(garments), iter(garments)
@@ -253,24 +241,11 @@ def test_resuming_makes_each_design_of_the_buffer_once(monkeypatch: pytest.Monke
 def test_the_buffer_holds_at_most_room_garments() -> None:
     given: set[int] = set()
     counts: Counter[int] = Counter()
-    for number in numbers(fresh(50, replay=4, room=5)):
+    for number in numbers(fresh(30, replay=4, room=5)):
         given.add(number)
         counts[number] += 1
         # Of the garments made so far at most five have uses left.
         assert sum(counts[n] < 4 for n in range(max(given) + 1)) <= 5
-
-
-def test_each_use_is_augmented_differently() -> None:
-    garments = FreshGarments(FakeGarments(1), replay=2, augment=PointNoise(1.0))
-    first, second = garments
-    assert same(first["verts"], second["verts"])
-    assert not same(first["points"], second["points"])
-    assert_all_same(FreshGarments(FakeGarments(1), replay=2, augment=PointNoise(1.0)), [first, second])
-
-
-def test_a_loader_batches_the_stream() -> None:
-    batches = list(GarmentLoader(fresh(8, replay=2, room=4), 4, shuffle=False))
-    assert [meta["index"] for batch in batches for meta in batch["meta"]] == numbers(fresh(8, replay=2, room=4))
 
 
 def test_workers_of_the_loader_are_refused() -> None:
@@ -279,36 +254,6 @@ def test_workers_of_the_loader_are_refused() -> None:
     for options in ({"replay": 0.5}, {"replay": float("nan")}, {"room": 0}):
         with pytest.raises(ConfigError):
             fresh(**options)
-
-
-class Watched(DataLoader):
-    """A ``DataLoader`` whose worker queue the test can read."""
-
-    sent: ClassVar[list[Connection]] = []
-
-    def __iter__(self) -> Any:
-        made: Any = super().__iter__()
-        self.sent.append(made._worker_result_queue._reader)
-        return made
-
-
-def test_tensors_are_received_without_a_reply_of_the_worker(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A busy worker, here stopped by a signal, cannot reply."""
-    monkeypatch.setattr("gcd_dataset.loaders.fresh.DataLoader", Watched)
-    others = set(multiprocessing.active_children())
-    made = iter(FreshGarments(FakeGarments(99, fields=["meta", "verts"]), room=1, workers=1))
-    next(made)
-    [worker] = set(multiprocessing.active_children()) - others
-    assert worker.pid is not None
-    assert Watched.sent.pop().poll(120)  # the worker has made the next item
-    os.kill(worker.pid, signal.SIGSTOP)
-    goes_on = threading.Timer(30.0, os.kill, (worker.pid, signal.SIGCONT))
-    goes_on.start()
-    item = next(made)
-    assert goes_on.is_alive(), "waited for the worker"
-    goes_on.cancel()
-    os.kill(worker.pid, signal.SIGCONT)
-    assert item["verts"].isfinite().all()
 
 
 def test_items_in_the_buffer_hold_no_shared_memory() -> None:
@@ -323,7 +268,7 @@ def test_an_item_is_freed_after_its_last_use() -> None:
         tensors.append(weakref.ref(item["panels"]))
         return item
 
-    whole = GeneratedGarments(16, stage="pattern", fields=["meta", "panels", "edges"], transform=recorded)
+    whole = FakeGarments(16, fields=["meta", "panels"], transform=recorded)
     for _ in FreshGarments(whole, room=4):
         # The items in the buffer, and the item made last.
         assert sum(tensor() is not None for tensor in tensors) <= 4 + 1
@@ -364,43 +309,3 @@ def test_selected_garments_of_whole_designs_are_made_together(chosen: Sequence[i
     assert whole.garments_per_design == 2
     assert whole.select(chosen).garments_per_design == garments
     assert Augmented(whole.select(chosen), PointNoise(1.0)).garments_per_design == garments
-
-
-def test_different_ranks_make_different_garments() -> None:
-    whole = FakeGarments(9, fields=["meta"])
-    ranks = [numbers(FreshGarments(whole.select(range(rank, 9, 2)))) for rank in range(2)]
-    assert np.array_equal(sorted(ranks[0] + ranks[1]), np.arange(9))
-
-
-class Uneven(FakeGarments):
-    """Makes the last garment once ``last`` is set, the others immediately."""
-
-    def __init__(self, count: int) -> None:
-        super().__init__(count, fields=["meta"])
-        self.last = multiprocessing.Event()
-
-    def __getitem__(self, index: Any) -> Any:
-        if index == len(self) - 1:
-            self.last.wait()
-        return super().__getitem__(index)
-
-
-def test_a_worker_that_exits_early_does_not_block_the_end() -> None:
-    ds = Uneven(4)
-    made = iter(FreshGarments(ds, workers=2, room=1))
-    given: list[int] = []
-
-    def take() -> None:
-        given.extend(item["meta"]["index"] for item in made)
-
-    thread = threading.Thread(target=take, daemon=True)
-    others = set(multiprocessing.active_children())
-    given.append(next(made)["meta"]["index"])
-    first, _ = sorted(set(multiprocessing.active_children()) - others, key=lambda worker: worker.pid or 0)
-    thread.start()
-    first.join(60)
-    assert first.exitcode == 0
-    ds.last.set()
-    thread.join(60)
-    assert not thread.is_alive()
-    assert given == [0, 1, 2, 3]

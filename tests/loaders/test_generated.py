@@ -4,15 +4,22 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from torch.utils.data import DataLoader
 
+from gcd_dataset import generate
+from gcd_dataset.captions import LEVELS, read_captions
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.generator.maker import produce
+from gcd_dataset.faults import check_pattern
+from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.pipeline import DressedDesign, prepare
-from gcd_dataset.generator.recipe import recipe_of
-from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
-from gcd_dataset.shards import ShardWriter
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.loaders import Augmented, FakeGarments, FreshGarments, GarmentDataset, GeneratedGarments, PickCaption
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.shards import ShardWriter, encode_sample
+from gcd_dataset.shards.layout import recipe_hash
 from tests.loaders.test_shards import assert_all_same, same
 
 COUNT = 3
@@ -39,20 +46,12 @@ def test_items_equal_those_of_a_shard(items: list[dict[str, Any]], tmp_path: Pat
 
 
 def test_a_batch_holds_the_same_items(items: list[dict[str, Any]]) -> None:
+    torch.manual_seed(123)  # the global random state changes nothing
     ds = garments()
     assert len(ds) == COUNT
     assert_all_same(ds.__getitems__([2, 0, -1]), [items[2], items[0], items[2]])
     with pytest.raises(IndexError):
         ds.__getitems__([0, COUNT])
-
-
-def test_global_random_state_changes_nothing(items: list[dict[str, Any]]) -> None:
-    torch.manual_seed(123)
-    assert same(garments()[1], items[1])
-
-
-def test_an_item_holds_the_selected_fields_only() -> None:
-    assert set(garments(fields=("panels", "box"))[0]) == {"panels", "box"}
 
 
 def test_unneeded_pictures_are_not_rendered(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,13 +83,6 @@ def no_more(*_: Any) -> list[Any]:
     raise AssertionError("made again")
 
 
-def test_another_recipe_has_another_cache(tmp_path: Path) -> None:
-    coarse = GeneratedGarments(COUNT, seed=5, drape=None, resolution=8.0, cache_dir=tmp_path, fields=["box"])
-    fine = garments(cache_dir=tmp_path, fields=["box"])
-    assert len(coarse[0]["box"]) < len(fine[0]["box"])
-    assert len(list(tmp_path.iterdir())) == 2
-
-
 def test_damage_in_the_cache_is_logged_and_repaired(
     items: list[dict[str, Any]], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -113,11 +105,16 @@ def test_damage_in_the_cache_is_logged_and_repaired(
         assert path.read_bytes() == whole
 
 
-def test_another_version_has_another_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    garments(cache_dir=tmp_path, fields=["box"])[0]
+def test_another_recipe_or_version_has_another_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fill(resolution: float) -> None:
+        options: dict[str, Any] = {"resolution": resolution, "cache_dir": tmp_path, "fields": ["panels"]}
+        GeneratedGarments(1, seed=5, stage="pattern", drape=None, **options)[0]
+
+    fill(5.0)
+    fill(8.0)
     monkeypatch.setattr("gcd_dataset.loaders.generated.__version__", "99.1")
-    garments(cache_dir=tmp_path, fields=["box"])[0]
-    assert len(list(tmp_path.iterdir())) == 2
+    fill(5.0)
+    assert len(list(tmp_path.iterdir())) == 3
 
 
 def test_the_recipe_is_known_before_the_garment_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,14 +158,8 @@ def test_consecutive_bodies_of_a_design_share_its_making(bodies: dict[str, Any],
     assert designed == [0, 1, 0]
     assert_all_same(garments(**bodies).stream(range(3)), together)
     assert designed == [0, 1, 0, 0, 1]
-
-
-def test_verify_makes_the_design_again(designed: list[int]) -> None:
-    ds = garments(bodies="both")
-    ds[0]
-    designed.clear()
-    ds.verify(1)
-    assert designed == [0, 0]
+    ds.verify(1)  # makes the design again
+    assert designed[5:] == [0, 0]
 
 
 def test_options_that_do_not_exist_are_refused() -> None:
@@ -195,8 +186,108 @@ def test_arguments_are_checked_at_once(options: dict[str, Any], message: str) ->
         GeneratedGarments(**{"n": 1, **options})
 
 
-def test_a_wearer_of_few_garments_does_not_stop_a_data_set() -> None:
-    """No fitted shirt suits her, and by chance her first twenty designs are all fitted shirts."""
-    item = GeneratedGarments(33_546, seed=0, stage="pattern", drape=None, fields=("meta", "panels"))[33_545]
-    assert item["meta"]["attempts"] > 20
-    assert len(item["panels"])
+CAPTIONED, SEED = 4, 5
+FLAT = MakeConfig(stage="pattern", captions=True)
+
+
+def captioned(**options: Any) -> GeneratedGarments:
+    return GeneratedGarments(CAPTIONED, seed=SEED, stage="pattern", drape=None, captions=True, **options)
+
+
+@pytest.fixture(scope="module")
+def caption_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("captions")
+    generate(folder, CAPTIONED, seed=SEED, config=FLAT)
+    return folder
+
+
+def test_captions_change_no_other_member_and_no_recipe_without_them() -> None:
+    with_captions, without = (
+        encode_sample(make(SEED, 0, MakeConfig(stage="pattern", captions=on))) for on in (True, False)
+    )
+    assert with_captions.keys() - without.keys() == {"caption.txt"}
+    assert all(with_captions[member] == data for member, data in without.items() if member != "meta.json")
+    assert "captions" not in recipe_of(MakeConfig())
+    assert recipe_hash(recipe_of(FLAT)) != recipe_hash(recipe_of(MakeConfig(stage="pattern")))
+
+
+def test_stored_captions_equal_those_made_on_demand(caption_folder: Path, tmp_path: Path) -> None:
+    stored = [item["caption"] for item in GarmentDataset(caption_folder)]
+    assert [item["caption"] for item in captioned()] == stored
+    assert [list(read_captions(text)) for text in stored] == [list(LEVELS)] * CAPTIONED
+    assert sorted(item["caption"] for item in FreshGarments(captioned(fields=["caption"]))) == sorted(stored)
+    cached = captioned(cache_dir=tmp_path, fields=["caption"])
+    assert [item["caption"] for item in cached] == stored
+    assert [item["caption"] for item in cached] == stored
+
+
+def test_a_stopped_run_with_captions_goes_on(caption_folder: Path, tmp_path: Path) -> None:
+    generate(tmp_path, 2, seed=SEED, config=FLAT)
+    generate(tmp_path, CAPTIONED, seed=SEED, config=FLAT)
+    assert (tmp_path / "train-00000.tar").read_bytes() == (caption_folder / "train-00000.tar").read_bytes()
+
+
+def test_captions_of_one_level_make_a_batch(caption_folder: Path) -> None:
+    ds = GarmentDataset(caption_folder, fields=["caption"], transform=PickCaption("short"))
+    (batch,) = DataLoader(ds, batch_size=CAPTIONED)
+    assert batch["caption"] == [read_captions(text)["short"] for text in texts(caption_folder)]
+
+
+def test_a_level_may_be_drawn_at_each_use(caption_folder: Path) -> None:
+    ds = Augmented(GarmentDataset(caption_folder, fields=["caption"]), PickCaption(), seed=3)
+    drawn = set()
+    for epoch in range(12):
+        ds.set_epoch(epoch)
+        drawn.add(ds[0]["caption"])
+    assert drawn == set(read_captions(texts(caption_folder)[0]).values())
+
+
+def test_unusable_levels_are_refused(caption_folder: Path) -> None:
+    with pytest.raises(ConfigError, match="there are short, medium, full"):
+        PickCaption("long")
+    with pytest.raises(ConfigError, match="give it as augment="):
+        PickCaption("short", "full")({"caption": "a\nb\nc"})
+    assert PickCaption("short")({"points": np.zeros(3)}).keys() == {"points"}
+    with pytest.raises(ConfigError, match="no field caption"):
+        GeneratedGarments(1, stage="pattern", drape=None, fields=["caption"])
+
+
+def texts(caption_folder: Path) -> list[str]:
+    return [item["caption"] for item in GarmentDataset(caption_folder, fields=["caption"])]
+
+
+def test_the_pattern_can_be_sewn() -> None:
+    for index in range(5):
+        assert check_pattern(fake_sample(0, index).pattern) == ()
+
+
+def test_the_tube_is_open_at_two_ends_only() -> None:
+    mesh = fake_sample(0, 1).box_mesh
+    assert mesh is not None
+    edges = np.sort(np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    assert set(count) == {1, 2}
+    euler = len(mesh.vertices) - len(count) + len(mesh.faces)
+    assert euler == 0  # Euler characteristic of a cylinder
+    rows = len(mesh.seams) // 2
+    assert (count == 1).sum() == 2 * (len(mesh.vertices) // rows)
+
+
+def test_faces_look_outward_and_keep_their_area() -> None:
+    sample = fake_sample(0, 2)
+    assert sample.drape is not None
+    assert sample.box_mesh is not None
+    a, b, c = (sample.drape.vertices[sample.box_mesh.faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    assert (np.einsum("fi,fi->f", normal, (a + b + c) * [1, 0, 1]) > 0).all()
+    u, v, w = (sample.box_mesh.uv[sample.box_mesh.corners[:, k]] for k in range(3))
+    flat = np.linalg.det(np.stack([v - u, w - u], axis=1))
+    assert (flat > 0).all()
+    assert np.linalg.norm(normal, axis=1).sum() < flat.sum()  # chords are shorter than arcs
+
+
+def test_garments_differ_and_are_reproducible() -> None:
+    ds = FakeGarments(4, seed=1)
+    assert len({ds[i]["measures"]["waist"] for i in range(4)}) == 4
+    assert encode_sample(fake_sample(1, 2)) == encode_sample(fake_sample(1, 2))
+    ds.verify(2)

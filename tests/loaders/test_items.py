@@ -14,10 +14,13 @@ import torch
 from torch import nn
 from torch.utils.data import DataLoader, Dataset
 
+from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.generator.drapers import address_for
+from gcd_dataset.files import user_path
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.hub.remote import Remote
+from gcd_dataset.hub.source import Folder, parse_source
 from gcd_dataset.loaders import (
     Augmented,
     BodyDataset,
@@ -42,7 +45,6 @@ from gcd_dataset.loaders import (
 from gcd_dataset.loaders.base import tensor_of
 from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
 from gcd_dataset.shards.hdf5 import write_hdf5
-from tests.loaders.draping import Apart
 from tests.loaders.test_shards import assert_all_same, same
 from tests.release.published import publish as published
 from tests.release.published import publish_people
@@ -204,9 +206,7 @@ def test_a_spawned_worker_gets_the_same_from_every_kind_of_data_set_and_initiali
     stored = [opened(sets, "mesh")[way]() for way in ("folder", "hdf5", "generated")]
     fake = FakeGarments(2)
     people = [PublishedBodies(few), BodyDataset(people_in_shards(tmp_path / "people", range(2)))]
-    draped = Apart(2, address_for("cpu"))
     kinds = OneOfEach(
-        draped,
         *stored,
         *people,
         *wrapped(fake, 2),
@@ -449,3 +449,54 @@ def test_a_number_beyond_float32_is_refused() -> None:
     with pytest.raises(ShardError, match="dtype=None keeps the stored type"):
         tensor_of(large, torch.float32)
     assert tensor_of(large, None).tolist() == [1.0, 1e300]
+
+
+# ------------------------------------------------------------------------------------------------------------- places
+
+
+OPENED: dict[str, Callable[[], Any]] = {
+    "a folder": lambda: GarmentDataset("~/data"),
+    "a path": lambda: GarmentDataset(Path("~/data")),
+    "HDF5": lambda: Hdf5Garments("~/data/train.h5"),
+    "people": lambda: BodyDataset("~/people"),
+    "published people": lambda: PublishedBodies("~/few"),
+    "published garments": lambda: PublishedGarmentCodeData("~/release", cache_dir="~/kept"),
+}
+
+
+@pytest.mark.parametrize("opener", OPENED)
+def test_a_tilde_is_the_home_folder(
+    opener: str, sets: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").symlink_to(sets["pattern"])
+    if opener == "people":
+        people_in_shards(tmp_path / "people", range(2))
+    if opener == "published people":
+        publish(tmp_path / "few", [fake_person(0), fake_person(1)], MESH)
+    if opener == "published garments":
+        published(tmp_path / "release")
+    assert len(OPENED[opener]())
+    assert not Path("~").exists()
+
+
+def test_caches_and_names_with_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert user_path("~nobody-is-called-so/data") == Path("~nobody-is-called-so/data")
+    assert user_path("data~") == Path("data~")
+    assert Remote(cache_dir="~/cache").folder == tmp_path / "cache"
+    kept = GeneratedGarments(1, drape=None, cache_dir="~/garments").cache
+    assert kept is not None
+    assert kept.parent == tmp_path / "garments"
+    (tmp_path / "data").mkdir()
+    assert parse_source("~/data") == Folder(tmp_path / "data")
+
+
+def test_commands_know_the_home_folder(sets: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "data").symlink_to(sets["mesh"])
+    assert len(ShardReader("~/data")) == COUNT
+    assert main(["info", "~/data"]) == 0
+    assert main(["export", "~/data", "--hdf5=~/train.h5", "--quiet"]) == 0
+    assert (tmp_path / "train.h5").exists()

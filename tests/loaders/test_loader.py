@@ -1,10 +1,11 @@
 """``GarmentLoader``: a run that is stopped at any batch and resumed elsewhere sees the same garments."""
 
+import contextlib
 import errno
-import multiprocessing
-import random
+import gc
+import threading
+import weakref
 from collections.abc import Iterator
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from gcd_dataset.loaders import (
     collate_list,
     collate_packed,
 )
+from gcd_dataset.workers import prefetch
 from tests.shards.folders import fill
 
 N = 50
@@ -83,10 +85,14 @@ def test_anything_but_a_data_set_is_refused_at_once(dataset: Any, remedy: str) -
             make()
 
 
-@pytest.mark.parametrize("batch_size", [0, -2, 1.5, "8", None, True])
-def test_a_batch_size_is_a_whole_number(batch_size: Any) -> None:
-    with pytest.raises(ConfigError, match=r"batch_size=.*: give a whole number, 1 or more"):
-        GarmentLoader(garments(), batch_size)
+def test_sizes_are_whole_numbers() -> None:
+    sizes: tuple[Any, ...] = (0, -2, 1.5, "8", None, True)
+    for batch_size in sizes:
+        with pytest.raises(ConfigError, match=r"batch_size=.*: give a whole number, 1 or more"):
+            GarmentLoader(garments(), batch_size)
+    for workers in (-1, *sizes[2:]):
+        with pytest.raises(ConfigError, match=rf"num_workers={workers!r}: give a whole number, 0 or more"):
+            GarmentLoader(garments(), 4, num_workers=workers)
 
 
 # ------------------------------------------------------------------------------------------------------- shared memory
@@ -144,12 +150,6 @@ def test_an_epoch_holds_every_garment_once_and_epochs_follow_on() -> None:
     assert flat[0] == ORDER
 
 
-def test_the_number_of_workers_does_not_change_the_order() -> None:
-    alone, helped = GarmentLoader(garments(), 4), GarmentLoader(garments(), 4, num_workers=2)
-    for _ in range(2):
-        assert [ids(batch) for batch in helped] == [ids(batch) for batch in alone]
-
-
 def test_the_state_counts_received_batches() -> None:
     """Two workers have made four batches when the loop has received one."""
     loader = GarmentLoader(garments(), 4, num_workers=2)
@@ -196,14 +196,6 @@ def test_a_rest_smaller_than_the_ranks_is_skipped() -> None:
     assert {rank.epoch for rank in three} == {2}
 
 
-def test_three_shards_on_two_ranks(folder: Path) -> None:
-    for streaming in (False, True):
-        ds = GarmentDataset(folder, fields=["meta"], streaming=streaming)
-        ranks = [GarmentLoader(ds, 2, rank=rank, world_size=2, shuffle=not streaming) for rank in (0, 1)]
-        assert [len(rank) for rank in ranks] == [3, 3]
-        assert sorted(merged(ranks)) == list(range(10))
-
-
 def test_padding_is_marked() -> None:
     ranks = loaders(4, n=10, batch_size=2, pad="repeat")
     batches = [list(rank) for rank in ranks]
@@ -235,21 +227,15 @@ def test_an_iterator_from_before_load_state_dict_is_refused(workers: int) -> Non
     assert ids(next(iter(loader))) == ORDER[8:12]
 
 
-def test_a_foreign_state_is_refused(folder: Path) -> None:
-    state = GarmentLoader(garments(10), 4).state_dict()
-    loader = GarmentLoader(garments(10, seed=1), 4)
-    with pytest.raises(ConfigError, match="the state of another order: its dataset"):
-        loader.load_state_dict(state)
-    # Fake garments made on demand and read from shards have one identity.
-    GarmentLoader(GarmentDataset(folder, fields=["meta"]), 4).load_state_dict(state)
-
-
-def test_a_selection_has_its_own_state() -> None:
+def test_a_selection_has_its_own_state(folder: Path) -> None:
     some, others = garments()[::2], garments()[1::2]
     loader = GarmentLoader(some, 4)
     assert sorted(number for batch in loader for number in ids(batch)) == list(range(0, N, 2))
     with pytest.raises(ConfigError, match="another order: its dataset"):
         GarmentLoader(others, 4).load_state_dict(loader.state_dict())
+    # Fake garments made on demand and read from shards have one identity.
+    stored = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 4)
+    stored.load_state_dict(GarmentLoader(garments(10), 4).state_dict())
 
 
 # --------------------------------------------------------------------------------------------------------------- faults
@@ -288,55 +274,6 @@ def test_an_error_of_getitems_names_the_batch() -> None:
         list(loader)
 
 
-def train(ds: Any, workers: int, epochs: int, log: Path, tell: Connection) -> None:
-    """A training that logs its indices with its state, and resumes from the log."""
-    loader = GarmentLoader(ds, 4, num_workers=workers)
-    seen: list[int] = []
-    if log.exists():
-        kept = torch.load(log)
-        seen = kept["seen"]
-        loader.load_state_dict(kept["state"])
-    while loader.epoch < epochs:
-        for batch in loader:
-            seen += ids(batch)
-            torch.save({"seen": seen, "state": loader.state_dict()}, log.with_suffix(".part"))
-            log.with_suffix(".part").replace(log)
-            tell.send(len(seen))
-    tell.send(None)
-
-
-def require_resumed(ds: Any, workers: int, log: Path, *, kills: int) -> None:
-    """Kill a training at ``kills`` random batches; the runs together must see the batches of one whole run."""
-    chance, fork, epochs = random.Random(0), multiprocessing.get_context("fork"), kills
-
-    def run(batches: int | None) -> None:
-        """Resume the training, and kill it during the batch after ``batches`` more."""
-        hear, tell = fork.Pipe(duplex=False)
-        child = fork.Process(target=train, args=(ds, workers, epochs, log, tell))
-        child.start()
-        tell.close()
-        received = 0
-        while hear.recv() is not None:
-            received += 1
-            if received == batches:
-                child.kill()
-                break
-        else:
-            assert batches is None
-        child.join()
-
-    for _ in range(kills):
-        run(chance.randint(1, 3))
-    run(None)
-    whole = GarmentLoader(ds, 4)
-    assert torch.load(log)["seen"] == [number for _ in range(epochs) for batch in whole for number in ids(batch)]
-
-
-def test_a_run_killed_at_any_batch_resumes(tmp_path: Path, folder: Path) -> None:
-    """Twenty kills, also of worker processes, are in ``tests/extras``."""
-    require_resumed(GarmentDataset(folder, fields=["meta"]), 0, tmp_path / "run.pt", kills=3)
-
-
 # -------------------------------------------------------------------------------------------------------------- streams
 
 
@@ -367,12 +304,6 @@ def test_ranks_split_a_stream_and_resume_it() -> None:
     assert list(second) == list(stream())  # no item was left
 
 
-@pytest.mark.parametrize("workers", [-1, 1.5])
-def test_the_number_of_workers_is_a_whole_number(workers: Any) -> None:
-    with pytest.raises(ConfigError, match=rf"num_workers={workers}: give a whole number, 0 or more"):
-        GarmentLoader(garments(), 4, num_workers=workers)
-
-
 def test_options_that_a_stream_lacks_are_refused() -> None:
     for options, message in (
         ({}, "a stream has its own order"),
@@ -383,3 +314,115 @@ def test_options_that_a_stream_lacks_are_refused() -> None:
             GarmentLoader(Count(), 3, **options)
     with pytest.raises(TypeError, match="no length"):
         len(stream())
+
+
+def test_the_thread_makes_no_more_items_than_the_queue_holds() -> None:
+    taken, ahead = 0, []
+
+    def items() -> Iterator[int]:
+        for number in range(50):
+            ahead.append(number + 1 - taken)
+            yield number
+
+    for number, item in enumerate(prefetch(items(), 3)):
+        assert item == number
+        taken = number + 1
+    assert taken == 50
+    assert max(ahead) <= 3 + 1  # taking an item has freed a slot
+
+
+def test_items_are_made_before_they_are_taken() -> None:
+    third = threading.Event()
+
+    def items() -> Iterator[int]:
+        yield from (0, 1)
+        third.set()
+        yield 2
+
+    ahead = prefetch(items(), 3)
+    assert next(ahead) == 0
+    assert third.wait(60)
+    assert list(ahead) == [1, 2]
+
+
+def test_an_error_comes_after_the_items_before_it() -> None:
+    def items() -> Iterator[int]:
+        yield from (0, 1)
+        raise ValueError("the third")
+
+    ahead = prefetch(items(), 8)
+    assert [next(ahead), next(ahead)] == [0, 1]
+    with pytest.raises(ValueError, match="the third"):
+        next(ahead)
+
+
+@pytest.mark.parametrize("wait", [False, True])
+def test_closing_the_iterator_ends_the_thread(wait: bool) -> None:
+    threads: list[threading.Thread] = []
+
+    def items() -> Iterator[int]:
+        threads.append(threading.current_thread())
+        while True:
+            yield 0
+
+    ahead = prefetch(items(), 2, wait=wait)
+    next(ahead)
+    ahead.close()
+    if not wait:
+        threads[0].join(60)
+    assert not threads[0].is_alive()
+
+
+def test_an_exit_in_the_thread_reaches_the_caller() -> None:
+    """``KeyboardInterrupt`` and the like are no ``Exception``."""
+
+    def items() -> Iterator[int]:
+        yield 0
+        raise SystemExit("the second")
+
+    ended: list[BaseException] = []
+
+    def take() -> None:
+        try:
+            list(prefetch(items(), 2))
+        except SystemExit as end:
+            ended.append(end)
+
+    thread = threading.Thread(target=take, daemon=True)
+    thread.start()
+    thread.join(60)
+    assert [str(end) for end in ended] == ["the second"]
+
+
+def test_a_caught_error_keeps_no_object_alive() -> None:
+    """The frames of its traceback refer to objects such as a loader with its workers."""
+
+    class Held:
+        pass
+
+    def failing(held: Held) -> None:
+        assert held
+        for _ in prefetch(map(int, ["no number"]), 1):
+            pass
+
+    held = Held()
+    kept = weakref.ref(held)
+    gc.disable()
+    try:
+        with contextlib.suppress(ValueError):
+            failing(held)
+        del held
+        assert kept() is None
+    finally:
+        gc.enable()
+
+
+def test_begin_runs_in_the_thread() -> None:
+    begun = []
+    assert list(prefetch(iter("ab"), 1, begin=lambda: begun.append(threading.current_thread()))) == ["a", "b"]
+    assert begun != [threading.current_thread()]
+
+
+def test_an_error_in_begin_reaches_the_caller() -> None:
+    with pytest.raises(ZeroDivisionError):
+        next(prefetch(iter("ab"), 1, begin=lambda: 1 / 0))  # type: ignore[arg-type]

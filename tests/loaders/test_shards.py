@@ -1,21 +1,29 @@
 """``GarmentDataset`` on a folder of shards: by index and as a stream."""
 
+import tarfile
+import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader
+import webdataset as wds
+from hypothesis import given
+from hypothesis import strategies as st
+from torch.utils.data import DataLoader, IterableDataset
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Grade, Outcome, Sample
+from gcd_dataset.loaders.shards import SplitPart, parse_splits
+from gcd_dataset.records import Grade, Outcome, Sample, View
 from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
 from gcd_dataset.shards.reader import Quality
+from gcd_dataset.shards.tar import samples_in
 from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
 
 COUNT = 10
@@ -43,44 +51,12 @@ def assert_all_same(items: Iterable[Any], others: Iterable[Any]) -> None:
 
 def test_a_shard_returns_the_written_samples(folder: Path) -> None:
     ds = GarmentDataset(folder)
-    assert len(ds) == COUNT
+    assert (len(ds), set(ds[0])) == (COUNT, set(FIELDS))
     assert_all_same([ds[i] for i in range(COUNT)], [FakeGarments(COUNT)[i] for i in range(COUNT)])
-
-
-def test_random_access_equals_reading_in_order(folder: Path) -> None:
-    in_order = [GarmentDataset(folder)[i] for i in range(COUNT)]
-    ds = GarmentDataset(folder)
-    for i in np.random.default_rng(0).permutation(COUNT):
-        assert same(ds[i], in_order[i])
-
-
-def test_an_item_holds_the_selected_fields_only(folder: Path) -> None:
-    ds = GarmentDataset(folder, fields=("verts", "faces"))
-    assert set(ds[0]) == {"verts", "faces"}
-    assert ds[0]["verts"].dtype == torch.float32
-    assert ds[0]["faces"].dtype == torch.int32
+    assert ds.recipe(7) == FakeGarments(COUNT).recipe(7)
+    assert set(GarmentDataset(folder, fields=("verts", "faces"))[0]) == {"verts", "faces"}
     with pytest.raises(ConfigError, match="no field vertices: there are meta"):
         GarmentDataset(folder, fields=("vertices",))
-
-
-def test_indices_count_from_both_ends(folder: Path) -> None:
-    ds = GarmentDataset(folder, fields=["meta"])
-    assert ds[-1]["meta"]["index"] == COUNT - 1
-    for beyond in (COUNT, -COUNT - 1):
-        with pytest.raises(IndexError):
-            ds[beyond]
-
-
-def test_a_transform_sees_every_item(folder: Path) -> None:
-    ds: Any = GarmentDataset(folder, fields=["verts"], transform=lambda item: len(item["verts"]))
-    assert ds[3] == len(FakeGarments(COUNT)[3]["verts"])
-
-
-def test_the_recipe_suffices_to_make_the_garment_again(folder: Path) -> None:
-    recipe = GarmentDataset(folder).recipe(7)
-    assert (recipe["seed"], recipe["index"], recipe["recipe"]) == (0, 7, RECIPE)
-    assert recipe == FakeGarments(COUNT).recipe(7)
-    assert same(FakeGarments(COUNT, seed=recipe["seed"])[recipe["index"]], GarmentDataset(folder)[7])
 
 
 def test_an_unreadable_folder_is_named() -> None:
@@ -187,8 +163,148 @@ def test_options_for_servers_are_refused_for_a_folder(folder: Path, tmp_path: Pa
         GarmentDataset(tmp_path / "nowhere")
 
 
-def test_collate_list_leaves_items_unchanged() -> None:
-    ds = FakeGarments(3)
-    (batch,) = DataLoader(ds, batch_size=3, collate_fn=collate_list)
-    assert_all_same(batch, [ds[i] for i in range(3)])
-    assert set(batch[0]) == set(FIELDS)
+TESTED = 3
+
+
+@pytest.fixture(scope="module")
+def two_splits(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten garments in ``train``, three different ones in ``test``."""
+    place = tmp_path_factory.mktemp("splits")
+    for split, indices in (("train", range(COUNT)), ("test", range(20, 20 + TESTED))):
+        with open_writer(place, split=split) as writer:
+            for index in indices:
+                writer.write(fake_sample(0, index))
+    return place
+
+
+def ids_of(folder: Path, split: str, *, streaming: bool = False) -> list[int]:
+    ds = GarmentDataset(folder, split, fields=["meta"], streaming=streaming)
+    return [item["meta"]["index"] for item in ds]
+
+
+@pytest.mark.parametrize("streaming", [False, True])
+@pytest.mark.parametrize(
+    ("split", "expected"),
+    [
+        ("train", range(10)),
+        ("train[:10%]", [0]),
+        ("train[3:5]", [3, 4]),
+        ("train[-2:]", [8, 9]),
+        ("train[50%:]+test", [5, 6, 7, 8, 9, 20, 21, 22]),
+        ("test[1:] + train[:2]", [21, 22, 0, 1]),
+        ("train[90:]+test[:1]", [20]),
+    ],
+)
+def test_a_split_may_be_sliced_and_added(two_splits: Path, split: str, expected: list[int], streaming: bool) -> None:
+    assert ids_of(two_splits, split, streaming=streaming) == list(expected)
+
+
+@pytest.mark.parametrize(
+    "split",
+    [
+        *("train[", "train[1]", "train[:1:2]", "train++test", "train[:200%]", "", "../train"),
+        *(f"train[:{5000 * '9'}]", f"train[-{20 * '9'}%:]", 3, None, ["train"]),
+    ],
+)
+def test_the_error_for_an_invalid_split_is_one_short_line(split: Any) -> None:
+    with pytest.raises(ConfigError, match=r"write train, |give -100%") as raised:
+        parse_splits(split)
+    assert len(str(raised.value)) < 200
+
+
+@given(st.integers(0, 10_000), st.lists(st.integers(0, 100), max_size=5))
+def test_adjacent_slices_cover_the_split_once(count: int, cuts: list[int]) -> None:
+    ends = [0, *sorted(cuts), 100]
+    parts = [SplitPart("train", f"{a}%", f"{b}%").range_of(count) for a, b in pairwise(ends)]
+    assert [position for part in parts for position in part] == list(range(count))
+
+
+def test_slices_and_selections_are_data_sets(two_splits: Path) -> None:
+    ds = GarmentDataset(two_splits, fields=["meta", "verts"])
+    assert_all_same(ds[2:6], [ds[i] for i in range(2, 6)])
+    assert_all_same(ds[::-3], [ds[9], ds[6], ds[3], ds[0]])
+    some = ds.select([7, 0, -1])
+    assert (len(some), some.fields) == (3, ds.fields)
+    assert_all_same(some[1:], [ds[0], ds[9]])
+    assert some.recipe(0) == ds.recipe(7)
+    some.verify(2)
+    with pytest.raises(IndexError):
+        some[3]
+    with pytest.raises(IndexError):
+        ds.select([10])
+    assert_all_same(DataLoader(some, batch_size=None), [ds[7], ds[0], ds[9]])
+    assert_all_same(FakeGarments(5)[3:], [FakeGarments(5)[3], FakeGarments(5)[4]])
+
+
+def test_a_stream_holds_the_same_garments(folder: Path) -> None:
+    stream = GarmentDataset(folder, streaming=True)
+    assert isinstance(stream, IterableDataset)
+    ds = GarmentDataset(folder)
+    for _ in range(2):  # two epochs
+        assert_all_same(stream, [ds[i] for i in range(COUNT)])
+    assert (len(stream), stream.recipe(7)) == (COUNT, ds.recipe(7))
+    for wrong in (lambda: stream[0], lambda: stream.select([0]), lambda: stream[1:]):
+        with pytest.raises(ConfigError, match="a stream has no indices: leave out streaming=True"):
+            wrong()
+
+
+def test_pictures_come_from_their_own_tars(tmp_path: Path) -> None:
+    with open_writer(tmp_path) as writer:
+        for index in range(6):
+            sample = fake_sample(0, index)
+            view = View(sample.back or b"", {"camera": {"k": np.eye(3).tolist(), "rt": np.eye(4)[:3].tolist()}})
+            writer.write(replace(sample, views=(view,), caption=f"skirt {index}"))
+    for fields in (["front"], ["verts", "view_0_json", "caption"], ["view_0"], ["views", "camera_k"], None):
+        ds = GarmentDataset(tmp_path, "train[2:]", fields)
+        assert_all_same(GarmentDataset(tmp_path, "train[2:]", fields, streaming=True), [ds[i] for i in range(4)])
+    (tmp_path / "views" / "train-00001.tar").unlink()
+    assert len(list(GarmentDataset(tmp_path, fields=["verts"], streaming=True))) == 6
+    with pytest.raises(ShardError, match=r"views/train-00001\.tar: no such file, but manifest\.json lists it"):
+        list(GarmentDataset(tmp_path, fields=["front"], streaming=True))
+
+
+def test_damage_in_a_stream_is_named(tmp_path: Path) -> None:
+    shard = fill(tmp_path, range(3)) / "train-00000.tar"
+    with tarfile.open(shard) as tar:
+        entry = tar.getmember("gcd_000000001.verts.z")
+    content = shard.read_bytes()
+    faults = ((entry.offset_data + 100, r", member verts\.z: bytes differ"), (entry.offset + 5, ": damaged"))
+    for place, fault in faults:
+        shard.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+        stream = iter(GarmentDataset(tmp_path, fields=["verts"], streaming=True))
+        next(stream)
+        with pytest.raises(ShardError, match=rf"train-00000\.tar: sample gcd_000000001{fault}"):
+            next(stream)
+
+
+def header(kind: bytes = tarfile.REGTYPE, **more: Any) -> bytes:
+    info = tarfile.TarInfo("gcd_000000000.verts.z")
+    info.type = kind
+    for attribute, value in more.items():
+        setattr(info, attribute, value)
+    return info.tobuf(tarfile.PAX_FORMAT if "pax_headers" in more else tarfile.USTAR_FORMAT)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (header(tarfile.GNUTYPE_SPARSE), "not a plain file"),
+        (header(pax_headers={"size": "99999999999"}), "not a plain file"),
+        (header(tarfile.SYMTYPE, linkname="/etc/passwd"), "not a plain file"),
+        (header(size=1 << 30), "is cut off at byte"),
+        (2 * header(), "occurs twice"),
+        (zlib.compress(bytes(1 << 20), wbits=31), "no tar header"),
+    ],
+)
+def test_harmful_headers_are_refused(content: bytes, message: str) -> None:
+    with pytest.raises(ShardError, match=message):
+        list(samples_in(memoryview(content)))
+
+
+@pytest.mark.parametrize("name", ["thing-000000.tar", "train-00000.tar", "train.tar"])
+@pytest.mark.parametrize("streaming", [False, True])
+def test_tars_of_other_programs_are_left_to_webdataset(tmp_path: Path, name: str, streaming: bool) -> None:
+    with wds.TarWriter(str(tmp_path / name)) as writer:
+        writer.write({"__key__": "a1", "txt": "hi", "json": {"a": 1}})
+    with pytest.raises(ShardError, match=rf"^{tmp_path}/?: tars of another program: read them with webdataset"):
+        GarmentDataset(tmp_path, streaming=streaming)

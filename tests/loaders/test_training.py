@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from itertools import product
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +20,6 @@ from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.loaders import (
     Augmented,
     ElasticSampler,
-    FakeGarments,
     FreshGarments,
     GarmentDataset,
     GarmentLoader,
@@ -201,7 +200,7 @@ def test_users_data_sets_do_not_change_the_models_random_draws() -> None:
 # ---------------------------------------------------------------------------------------------------------------- ranks
 
 
-@pytest.mark.parametrize(("world_size", "workers"), [(1, 1), (2, 2), (3, 0)])
+@pytest.mark.parametrize(("world_size", "workers"), [(2, 1), (3, 0)])
 def test_ranks_share_an_epoch(folder: Path, ranks: Callable, world_size: int, workers: int) -> None:
     """With 11 garments and batches of 2, the epoch ends differently for each world size."""
     ds = GarmentDataset(folder, fields=["meta"]).select(range(11))
@@ -217,12 +216,6 @@ def test_ranks_share_an_epoch(folder: Path, ranks: Callable, world_size: int, wo
             seen.update(own)
         assert set(seen.values()) == {1}
         assert seen.total() == count
-    real = Counter[int]()
-    for rank in range(world_size):
-        ranks(rank, world_size)
-        for batch in GarmentLoader(ds, 2, pad="repeat", num_workers=workers):
-            real.update(n for n, again in zip(ids(batch), batch["repeated"], strict=True) if not again)
-    assert real == Counter(range(11))
 
 
 def test_the_rank_is_looked_up_at_each_pass(folder: Path, ranks: Callable) -> None:
@@ -297,14 +290,11 @@ def test_ranks_may_join_after_their_loaders_were_built(folder: Path, tmp_path: P
     assert states == others == [2 * N, N]
 
 
-def test_the_sampler_is_a_distributed_sampler(folder: Path) -> None:
-    assert isinstance(ElasticSampler(range(4)), DistributedSampler)
-
-
 def test_a_framework_sets_the_epoch(folder: Path) -> None:
     ds, sampler = GarmentDataset(folder, fields=["meta"]), ElasticSampler(range(N))
     epochs = [list(sampler) for _ in range(4)]
     again = ElasticSampler(range(N))
+    assert isinstance(again, DistributedSampler)  # else Lightning would replace it
     for epoch in (2, 0, 3, 3):
         again.set_epoch(epoch)
         assert list(again) == epochs[epoch]
@@ -340,21 +330,6 @@ def test_a_broken_off_pass_is_not_continued(folder: Path, workers: int) -> None:
     assert every(unused) == epochs[0]
 
 
-def test_a_pass_resumes_from_a_state(folder: Path) -> None:
-    loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2)
-    whole = every(GarmentLoader(loader.dataset, 2))
-    seen = [number for _, batch in zip(range(2), loader, strict=False) for number in ids(batch)]
-    loader.load_state_dict(loader.state_dict())
-    iter(loader)  # receives nothing
-    assert seen + every(loader) == whole
-    sampler = ElasticSampler(range(N))
-    first = [number for _, number in zip(range(5), sampler, strict=False)]
-    again = ElasticSampler(range(N))
-    again.load_state_dict(sampler.state_dict())
-    assert first + list(again) == list(ElasticSampler(range(N)))
-    assert list(sampler) == list(again)  # epoch 1, after a break
-
-
 # --------------------------------------------------------------------------------------------------------------- states
 
 
@@ -371,6 +346,7 @@ def test_the_state_of_another_data_set_is_refused(folder: Path, tmp_path: Path) 
         (FreshGarments(ds), FreshGarments(other)),
         (FreshGarments(ds), FreshGarments(ds, replay=2)),
         (FreshGarments(ds), FreshGarments(ds, seed=1)),
+        (FreshGarments(ds), FreshGarments(ds, room=3)),
         (Subset(ds, [0, 1, 2]), Subset(ds, [0, 1, 3])),
         (Subset(ds, [0, 1]), Subset(other, [0, 1])),
         (torch.utils.data.ConcatDataset([ds, ds]), torch.utils.data.ConcatDataset([ds, other])),
@@ -421,7 +397,7 @@ def test_integers_of_any_type_are_valid_in_a_state(folder: Path) -> None:
 # -------------------------------------------------------------------------------------------------------------- streams
 
 
-@pytest.mark.parametrize(("world_size", "workers"), [(1, 0), (1, 2), (2, 3), (3, 0)])
+@pytest.mark.parametrize(("world_size", "workers"), [(1, 0), (2, 3), (3, 0)])
 def test_ranks_and_workers_split_a_stream_evenly(
     folder: Path, three: Path, ranks: Callable, world_size: int, workers: int
 ) -> None:
@@ -438,7 +414,7 @@ def test_ranks_and_workers_split_a_stream_evenly(
         assert workers or seen == list(range(N))
 
 
-@pytest.mark.parametrize(("world_size", "workers", "size"), [(1, 0, 5), (2, 2, 5), (1, 3, 2), (1, 4, 12), (2, 3, None)])
+@pytest.mark.parametrize(("world_size", "workers", "size"), [(1, 0, 5), (2, 2, 5), (1, 4, 12), (1, 3, None)])
 def test_the_workers_of_a_stream_make_as_many_batches_as_one_process(
     three: Path, ranks: Callable, world_size: int, workers: int, size: int | None
 ) -> None:
@@ -499,20 +475,3 @@ def test_an_error_of_an_augment_names_the_garment(folder: Path) -> None:
     ds = Augmented(GarmentDataset(folder, fields=["meta"])[2:], lambda item, chance: fails_at_7(item))
     with pytest.raises(TransformError, match=r"gcd_000000007, number 5 of Augmented\(.*\): ZeroDivisionError"):
         list(GarmentLoader(ds, 3))
-
-
-def test_functions_that_are_not_callable_are_refused(folder: Path) -> None:
-    ds, three = GarmentDataset(folder), cast(Any, 3)
-    ways: dict[str, list[Callable[[], Any]]] = {
-        "transform": [
-            lambda: GarmentDataset(folder, transform=three),
-            lambda: FakeGarments(3, transform=three),
-            lambda: MixedDataset([ds], [1], transform=three),
-        ],
-        "augment": [lambda: Augmented(ds, three), lambda: FreshGarments(ds, augment=three)],
-        "collate_fn": [lambda: GarmentLoader(ds, 2, collate_fn=three)],
-    }
-    for option, makes in ways.items():
-        for make in makes:
-            with pytest.raises(ConfigError, match=f"{option}=3: give a function"):
-                make()

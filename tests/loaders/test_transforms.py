@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from torch.utils.data import DataLoader
+from scipy.spatial.transform import Rotation
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import (
@@ -20,7 +20,6 @@ from gcd_dataset.loaders import (
     PartialView,
     PointNoise,
     Yaw,
-    collate_list,
 )
 from gcd_dataset.loaders.base import Item
 from tests.loaders.test_shards import assert_all_same, same
@@ -53,7 +52,7 @@ def test_yaw_keeps_heights_and_distances() -> None:
 def test_yaw_turns_scans_and_cameras_with_the_figure() -> None:
     """Every camera sees the turned points where it saw them before; what was not measured stays so."""
     points = torch.cat([ball()["points"][::40].float(), torch.full((2, 6), torch.nan)])
-    rotation = torch.linalg.qr(torch.randn(2, 3, 3, generator=torch.manual_seed(1)))[0]
+    rotation = torch.from_numpy(Rotation.from_euler("xyz", [[0.3, 1.0, -0.5], [2.0, -0.4, 1.2]]).as_matrix()).float()
     rt = torch.cat([rotation, torch.ones(2, 3, 1)], dim=2)
     facts = {
         "camera": {"rt": rt[0].tolist(), "size": 9},
@@ -135,23 +134,6 @@ def test_draws_depend_on_seed_index_and_epoch() -> None:
     assert_all_same(changed().stream([2, 0]), [changed()[2], changed()[0]])
     assert not same(changed()[0], changed(seed=1)[0])
     assert not same(changed()[0], changed(epoch=1)[0])
-
-
-def test_set_epoch_reaches_a_persistent_worker() -> None:
-    ds = Augmented(FakeGarments(2, fields=["points"]), PointNoise(1.0))
-    loader = DataLoader(
-        ds,
-        batch_size=2,
-        num_workers=1,
-        persistent_workers=True,
-        multiprocessing_context="fork",
-        collate_fn=collate_list,
-    )
-    [first] = loader
-    ds.set_epoch(1)
-    [second] = loader
-    assert not same(first, second)
-    assert same(second, list(ds))
 
 
 def test_augmented_garments_keep_state_recipe_and_slices() -> None:

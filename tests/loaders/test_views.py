@@ -48,7 +48,7 @@ def dataset(worn_folder: Path, **options: Any) -> GarmentDataset:
 
 
 def small(**options: Any) -> Views:
-    return Views(**{"n": 2, "size": SIZE, "seed": SEED, "device": "cpu", **options})
+    return Views(**{"n": 1, "size": SIZE, "seed": SEED, "device": "cpu", **options})
 
 
 def pictures(batches: Any) -> dict[int, torch.Tensor]:
@@ -74,7 +74,7 @@ def first_epoch(worn_folder: Path) -> dict[int, torch.Tensor]:
 
 
 def test_stored_views_are_those_rendered_from_the_shards(worn_folder: Path) -> None:
-    reader, views = ShardReader(worn_folder), small()
+    reader, views = ShardReader(worn_folder), small(n=2)
     for number, item in enumerate(dataset(worn_folder)):
         rendered = views(item)
         for view, picture, k, rt in zip(
@@ -87,7 +87,7 @@ def test_stored_views_are_those_rendered_from_the_shards(worn_folder: Path) -> N
 
 @pytest.mark.parametrize(
     ("workers", "collate", "seed", "batch_size"),
-    [(0, collate_packed, 0, 2), (0, collate_padded, 1, 3), (2, collate_list, 1, 2)],
+    [(0, collate_padded, 0, 2), (2, collate_list, 1, 2)],
 )
 def test_pictures_depend_on_epoch_and_garment_alone(
     worn_folder: Path, first_epoch: dict[int, torch.Tensor], workers: int, collate: Any, seed: int, batch_size: int
@@ -106,7 +106,7 @@ def test_pictures_depend_on_epoch_and_garment_alone(
 def test_other_data_sets_have_other_pictures_at_the_same_number(worn_folder: Path) -> None:
     """Data sets of another seed, or of the same seed and another recipe; not those on another device."""
     item = dataset(worn_folder)[0]
-    meta, views = item["meta"], small(n=1)
+    meta, views = item["meta"], small()
     for change in ({"seed": SEED + 1}, {"recipe": {**meta["recipe"], "resolution": 3.0}}):
         other = {**item, "meta": {**meta, **change}}
         assert not torch.equal(views(other)["views"], views(item)["views"])
@@ -194,7 +194,7 @@ def test_visible_corners_lie_where_the_cameras_project_them(worn_folder: Path) -
 def test_landmarks_have_one_order_for_all_bodies(worn_folder: Path) -> None:
     views = small()
     item = views(dataset(worn_folder)[1])
-    assert item["landmark_pixels"].shape == (2, len(views.landmark_names), 2)
+    assert item["landmark_pixels"].shape == (1, len(views.landmark_names), 2)
     assert item["landmark_visible"].any()
 
 
@@ -242,7 +242,7 @@ def test_garments_that_a_mixture_repeats_look_different_each_time(worn_folder: P
     mixed = MixedDataset([dataset(worn_folder), dataset(worn_folder)[:1]], [1, 1])
     shown = []
     for workers in (0, 1):
-        loader = GarmentLoader(mixed, 2, num_workers=workers, views=small(n=1, size=32))
+        loader = GarmentLoader(mixed, 2, num_workers=workers, views=small(size=32))
         shown.append([(m["index"], p) for batch in loader for m, p in zip(batch["meta"], batch["views"], strict=True)])
     here, there = shown
     assert len({number for number, _ in here}) < len(here) == len({p.numpy().tobytes() for _, p in here})
@@ -250,7 +250,7 @@ def test_garments_that_a_mixture_repeats_look_different_each_time(worn_folder: P
 
 
 def test_as_an_augmentation_views_follow_its_stream(worn_folder: Path) -> None:
-    ds = Augmented(dataset(worn_folder), small(n=1), seed=3)
+    ds = Augmented(dataset(worn_folder), small(), seed=3)
     shown = ds[0]["views"]
     assert torch.equal(ds[0]["views"], shown)
     ds.set_epoch(1)
@@ -259,12 +259,12 @@ def test_as_an_augmentation_views_follow_its_stream(worn_folder: Path) -> None:
 
 def test_a_turned_figure_is_not_rendered_beside_its_wearer(worn_folder: Path) -> None:
     """``Yaw`` turns the cloth; the wearer, built from shape weights, would stay."""
-    for user in (small(n=1, size=16), Scan(size=16, points=4), Sketch(size=16)):
+    for user in (small(size=16), Scan(size=16, points=4), Sketch(size=16)):
         name = type(user).__name__
         with pytest.raises(TransformError, match=f"turned by Yaw before {name}, .*: apply {name} before Yaw"):
             Augmented(dataset(worn_folder), Chain(Yaw(), user))[0]
-    item = Augmented(dataset(worn_folder), Chain(small(n=1, size=16), Yaw()))[0]
-    plain = Augmented(dataset(worn_folder), small(n=1, size=16))[0]
+    item = Augmented(dataset(worn_folder), Chain(small(size=16), Yaw()))[0]
+    plain = Augmented(dataset(worn_folder), small(size=16))[0]
     assert not torch.allclose(item["camera_rt"], plain["camera_rt"])
 
 
@@ -291,7 +291,7 @@ def test_what_an_item_lacks_is_named_at_once(worn_folder: Path) -> None:
 
 def test_fake_garments_are_rendered_on_a_given_body(worn: list[Sample]) -> None:
     wearer = build_body(worn[0].shape)  # type: ignore[arg-type]
-    views = small(n=1, bodies=lambda name: wearer)
+    views = small(bodies=lambda name: wearer)
     [batch] = GarmentLoader(FakeGarments(2), 2, views=views)
     assert batch["views"].shape == (2, 1, SIZE, SIZE, 3)
 
@@ -340,7 +340,7 @@ def test_a_loader_takes_views_only() -> None:
 def test_a_loop_that_ends_early_leaves_no_thread(worn_folder: Path) -> None:
     import threading
 
-    loader = GarmentLoader(dataset(worn_folder), 1, views=small(n=1))
+    loader = GarmentLoader(dataset(worn_folder), 1, views=small())
     begun = iter(loader)
     assert len(list(islice(begun, 1))) == 1
     begun.close()  # type: ignore[attr-defined]
@@ -378,7 +378,7 @@ def test_published_garments_are_rendered_on_given_bodies_also_in_a_mixture(
     with pytest.raises(TransformError, match=r"wearer, mean_all: read the field body too, or for published"):
         PublishedGarmentCodeData(tmp_path / RELEASE, fields=fields, transform=small())[0]
     wearer = build_body(worn[0].shape)  # type: ignore[arg-type]
-    views = small(n=1, size=24, bodies=lambda name: wearer)
+    views = small(size=24, bodies=lambda name: wearer)
     mixed = MixedDataset([published[:2], GarmentDataset(worn_folder, fields=fields)[:1]], [1, 1])
     [batch] = GarmentLoader(mixed, len(mixed), views=views)
     assert batch["views"].shape == (len(mixed), 1, 24, 24, 3)
