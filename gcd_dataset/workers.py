@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -21,7 +20,6 @@ from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from gcd_dataset.errors import GcdError
-from gcd_dataset.waits import WaitClock, record_wait
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -207,14 +205,11 @@ def prefetch(
     *,
     begin: Callable[[], None] | None = None,
     wait: bool = False,
-    name: str | None = None,
 ) -> Generator[Item]:
     """The same items, up to ``count`` of them made ahead by a daemon thread.
 
     ``begin`` is called first, in the thread. When the generator is closed, or the interpreter exits, the thread ends
-    after the item it is making; ``wait`` joins it. An error of ``items`` is raised after the items before it. With
-    ``name``, the time that the thread is blocked by a full buffer is recorded under that name
-    (``gcd_dataset.waits``).
+    after the item it is making; ``wait`` joins it. An error of ``items`` is raised after the items before it.
     """
     room = threading.Semaphore(count)
     ready = SimpleQueue[tuple[Item | None, BaseException | None]]()
@@ -224,11 +219,8 @@ def prefetch(
         try:
             if begin is not None:
                 begin()
-            clock = WaitClock()
-            while _acquire(room, clock) and not closed:
+            while room.acquire() and not closed:
                 ready.put((next(items), None))
-                if name is not None:
-                    record_wait(name, clock.lap())
         except BaseException as error:  # noqa: BLE001 - raised in the consumer
             ready.put((None, error))
 
@@ -258,11 +250,3 @@ def prefetch(
         error = None  # break a cycle: its traceback refers to this frame and to the frames of all callers
         unregister(close)
         close()
-
-
-def _acquire(room: threading.Semaphore, clock: WaitClock) -> bool:
-    """Acquire ``room``, counting the wait as idle; always true."""
-    begin = time.perf_counter()
-    room.acquire()
-    clock.add_idle(time.perf_counter() - begin)
-    return True

@@ -85,14 +85,12 @@ class Bar:
 
 
 def postfix(progress: Progress) -> str:
-    """Text after the bar: outcomes other than settled, waits, and rejected attempts by rule.
+    """Text after the bar: outcomes other than settled, and rejected attempts by rule.
 
     >>> postfix(Progress(9, 0).with_made(["too_heavy: 3 kg"], "SETTLED"))
     'rejected 1 (too_heavy 1)'
     """
     parts = [f"{name.lower()} {count}" for name, count in progress.outcomes.most_common() if name != SETTLED]
-    if progress.waits:
-        parts.append("waits: " + " ".join(f"{name} {share:.0%}" for name, share in progress.waits.items()))
     if rejected := progress.rejects.total():
         rules = [f"{rule} {count}" for rule, count in progress.rejects.most_common(MOST_RULES)]
         more = ["…"] if len(progress.rejects) > MOST_RULES else []

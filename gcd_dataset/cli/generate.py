@@ -64,9 +64,7 @@ def add_verbs(verbs: Any) -> None:
         help="for array jobs: make every N-th shard only, from shard I on, I from 0 to N-1; jobs may run at the same "
         "time, on any machines that share OUT, and the last one writes manifest and index (default: all shards)",
     )
-    generate.add_argument(
-        "--log", type=Path, metavar="FILE", help="append progress, rate, waits and memory as lines of JSON"
-    )
+    generate.add_argument("--log", type=Path, metavar="FILE", help="append progress, rate and memory as lines of JSON")
     generate.add_slow_options = partial(_add_make_options, generate)
     add_quiet(generate)
 

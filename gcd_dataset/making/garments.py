@@ -20,7 +20,6 @@ from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.layout import GARMENTS, TRAIN
 from gcd_dataset.shards.manifest import Plan
-from gcd_dataset.waits import take_waits
 
 Engine = Literal["local", "ray"]
 
@@ -149,7 +148,7 @@ def encoded(wearers: int, keeps_all: bool, sample: Sample) -> Made:
     failed = outcome not in (None, Outcome.SETTLED) and not keeps_all
     rejects = tuple(map(str, made.turned_down)) if made.index % wearers == 0 else ()  # once for each design
     name = None if outcome is None else outcome.name
-    return Made(made.index, encode_sample(sample), "", failed, rejects, name, take_waits())
+    return Made(made.index, encode_sample(sample), "", failed, rejects, name)
 
 
 def workers_for(config: MakeConfig, count: int) -> int:

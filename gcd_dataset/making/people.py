@@ -15,7 +15,6 @@ from gcd_dataset.making.tasks import Job, Work, check_count
 from gcd_dataset.shards.body_set import encode_person, mesh_bytes
 from gcd_dataset.shards.layout import BODIES, TRAIN, mesh_name
 from gcd_dataset.shards.manifest import Plan
-from gcd_dataset.waits import take_waits
 from gcd_dataset.workers import parallel_map_chunks
 
 CHUNK = 16  # people per task of a worker: a quarter of a second of work, 10 MB of results
@@ -58,6 +57,5 @@ def _make_chunk(seed: int, bodies: str, recipe: dict[str, Any], indices: Sequenc
     origin = {"seed": seed, "versions": versions()}
     people = ((index, make_person(seed, index, bodies=bodies)) for index in indices)
     return [
-        Made(index, encode_person(person, {**origin, "index": index, "recipe": recipe}), waits=take_waits())
-        for index, person in people
+        Made(index, encode_person(person, {**origin, "index": index, "recipe": recipe})) for index, person in people
     ]

@@ -1,6 +1,6 @@
 """The draper interface: send requests, receive replies in order of completion."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, Self
 
 import numpy as np
@@ -14,7 +14,6 @@ from gcd_dataset.generator.views import (
     requested_views,
 )
 from gcd_dataset.records import Drape
-from gcd_dataset.waits import Waits
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
@@ -46,8 +45,6 @@ class DrapeReply:
     """Front and back."""
     seconds: float = 0.0
     """Time of the batch divided by its garments; 0 from a draper that several processes share."""
-    waits: Waits = field(default_factory=dict)
-    """How long the draping process has waited for requests since its last reply, by device."""
     views: tuple[RenderedView, ...] = ()
     """The drawn views; none of a diverged drape."""
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Generic, TypeVar, Union
 
 from gcd_dataset.generator.drapers.draper import Draper, DrapeReply, DrapeRequest
 from gcd_dataset.generator.views import ViewRequest
-from gcd_dataset.waits import record_wait
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
@@ -100,8 +99,6 @@ class _Dispatcher:
         """Wait for one reply; finish its task if that was the last."""
         assert self._draper is not None  # tasks without jobs are never waited for
         reply = self._draper.receive()
-        for name, wait in reply.waits.items():
-            record_wait(name, wait)
         task, job = self._job_of.pop(reply.number)
         task.replies[job] = reply
         try:
