@@ -179,17 +179,14 @@ def _unit_faults(garment: CheckedGarment) -> Iterator[str]:
     placed = garment.placed
     if placed is not None:
         largest = LARGEST if garment.has("verts") else WIDEST
-        yield from _extent_faults("vertices", float(np.ptp(placed, axis=0).max()), largest)
+        extent = float(np.ptp(placed, axis=0).max())
+        if not SMALLEST < extent < largest:
+            yield f"vertices in {_likely_unit(extent / 80.0)}"
         if garment.has("uv", "corners", "faces") and not _same_unit(garment, placed):
             yield "uv and vertices have different units"
     height = (garment.measures or {}).get("height")
     if height is not None and not SHORTEST < height < TALLEST:
         yield f"measures in {_likely_unit(height / 170.0)}"
-
-
-def _extent_faults(name: str, extent: float, largest: float) -> Iterator[str]:
-    if not SMALLEST < extent < largest:
-        yield f"{name} in {_likely_unit(extent / 80.0)}"
 
 
 def _likely_unit(scale: float) -> str:

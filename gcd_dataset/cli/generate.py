@@ -89,7 +89,9 @@ def _generate(options: argparse.Namespace) -> int:
         if options.count is None:
             raise ConfigError("how many? Give --count N, or --recipe NAME for a data set of that name")
         known = {option.name for option in options_of(MakeConfig)}
-        given = _read_config(options.config, known) if options.config else {}
+        given = read_options(options.config, known) if options.config else {}
+        if "design" in given:
+            given["design"] = _overlay(options.config, given["design"])
         given |= given_options(options, MakeConfig)
         if given.get("stage") == BODY_STAGE:
             work, unit = _people_work(options, given), "body"
@@ -133,14 +135,6 @@ def _people_work(options: argparse.Namespace, given: Mapping[str, Any]) -> Calla
     if options.engine != "local":
         raise ConfigError(f"stage {BODY_STAGE} is made on this machine: leave --engine out")
     return partial(generate_people, bodies=given.get("bodies", "random"))
-
-
-def _read_config(path: Path, known: set[str]) -> dict[str, Any]:
-    """The options in a TOML file. Raises ``ConfigError`` with the line, or the unknown name."""
-    values = read_options(path, known)
-    if "design" in values:
-        values["design"] = _overlay(path, values["design"])
-    return values
 
 
 def _overlay(path: Path, values: Any) -> Any:

@@ -1,12 +1,10 @@
 """The garments that a viewer turns over: of a data set, as published, or specification files beside the truth."""
 
-import contextlib
-import hashlib
 import json
 import re
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -19,20 +17,17 @@ from gcd_dataset.errors import (
     BodyError,
     ConfigError,
     GcdError,
-    OutputError,
     PatternError,
     RemoteError,
     ShardError,
     shown,
 )
 from gcd_dataset.faults import require_valid
-from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drawing import draw_pattern, picture_of
 from gcd_dataset.records import EdgeRef, Pattern, Sample
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
-from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.spec import pattern_name, read_pattern
 from gcd_dataset.viewer.content import Content, body_of, content_of
 from gcd_dataset.viewer.page import page_of
@@ -106,9 +101,9 @@ class Album(ABC):
     def page(self, position: int, side: int = 0) -> str:
         """The HTML page of a garment. Raises ``GcdError`` for a damaged one."""
 
+    @abstractmethod
     def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
         """Front of a garment, stored or rendered; without a drape its pattern. Raises ``GcdError`` for damage."""
-        raise NotImplementedError
 
     def links(self, position: int) -> dict[str, Any]:
         """Parts of the two pages of a garment that belong together; see ``SpecAlbum.links``."""
@@ -165,10 +160,9 @@ class ShardAlbum(Album):
     """A split of a data set. Grades, and which drapes settled, come from the index; ``read_tags`` reads the rest.
 
     Tags of a local data set are read all at once; of a remote one ``REQUESTED`` at a time, since each takes a request.
-    ``cache``: folder that keeps the tags between runs; ``None`` for none.
     """
 
-    def __init__(self, reader: ShardReader, title: str, cache: Path | None = None) -> None:
+    def __init__(self, reader: ShardReader, title: str) -> None:
         self.title = title
         self.waits = not isinstance(reader.store, FolderStore)
         self._reader = reader
@@ -176,7 +170,7 @@ class ShardAlbum(Album):
         self._grade = reader.index.grade[rows]
         self._settled = reader.index.settled[rows]
         self._number = reader.index.number[rows]
-        self._tags = GarmentTags(reader, cache)
+        self._tags = GarmentTags(reader)
 
     def __len__(self) -> int:
         return len(self._reader)
@@ -332,7 +326,7 @@ class PublishedAlbum(Album):
         return _front(self._published.sample(position), size)
 
     def facets(self) -> Facets:
-        return Facets(kinds={_words(folder): len(rows) for folder, rows in self._kinds.items()})
+        return Facets(kinds={folder.replace("_", " "): len(rows) for folder, rows in self._kinds.items()})
 
     def matches(self, where: Filter = ANY) -> Int[np.ndarray, " m"]:
         if where.grade or where.outcome:
@@ -428,10 +422,6 @@ def _score_text(score: "PatternScore") -> str:
     return ", ".join(f"{name} {getattr(score, name):.3f}" for name in FIGURES)
 
 
-def _words(name: str) -> str:
-    return name.replace("_", " ")
-
-
 def _by_key(source: Path) -> dict[str, Path]:
     """Name to specification file: the file itself, or those in a folder; without any, those in its subfolders."""
     found: dict[str, Path] = {}
@@ -453,30 +443,20 @@ def _positions(keys: tuple[str, ...]) -> dict[str, int]:
 
 
 CHUNK = 64  # samples whose metadata are read at once; ``close`` waits for a chunk
-KEPT_FILES = 64  # data sets in the cache, the latest ones
-FOLDER = "tags"
 META = "meta.json"
 TAG, OUTCOME = "tag", "outcome"
-SECTIONS = {"words": "u1", "counts": "i4", "positions": "i4", "known": "i4"}
-"""Section of a cached file to its type; words are a JSON list."""
 
 
 class GarmentTags:
-    """Tags and outcomes of the first ``known`` garments of a split; ``read`` reads more. Methods are thread-safe.
+    """Tags and outcomes of the first ``known`` garments of a split; ``read`` reads more. Methods are thread-safe."""
 
-    ``cache``: folder that keeps them between runs, keyed by the checksums of all ``meta.json``; ``None`` for none.
-    """
-
-    def __init__(self, reader: ShardReader, cache: Path | None = None) -> None:
+    def __init__(self, reader: ShardReader) -> None:
         self._reader, self._count = reader, len(reader)
-        self._file = None if cache is None else cache / FOLDER / f"{_identity(reader)}.z"
         self._positions: dict[tuple[str, str], list[Int[np.ndarray, " m"]]] = {}
         self._lock, self._reading, self._closed = threading.Lock(), threading.Lock(), threading.Event()
         self.problem = ""
         """The message of the server that ended the last ``read`` early; empty if none did."""
         self.known = 0 if META in reader.layout.members else self._count
-        if self._file is not None and not self.known:
-            self._load(self._file)
 
     def counts(self, field: str) -> dict[str, int]:
         """Word to the number of known garments with it, in alphabetical order; ``field``: ``TAG`` or ``OUTCOME``."""
@@ -497,12 +477,10 @@ class GarmentTags:
 
         ``between``: called before each part, to wait for more urgent work.
 
-        Ends early if a server does not answer, and keeps the message in ``problem``. What was read is written to the
-        cache; one thread reads at a time.
+        Ends early if a server does not answer, and keeps the message in ``problem``; one thread reads at a time.
         """
         with self._reading:
             self.problem = ""
-            before = self.known
             last = self._count if limit is None else min(self.known + limit, self._count)
             while self.known < last and not self._closed.is_set():
                 if between is not None:
@@ -513,8 +491,6 @@ class GarmentTags:
                 except RemoteError as error:
                     self.problem = str(error)
                     break
-            if self.known > before and self._file is not None:
-                self._save(self._file)
 
     def close(self) -> None:
         """Stop ``read``."""
@@ -550,54 +526,6 @@ class GarmentTags:
             for word, rows in found.items():
                 self._positions.setdefault(word, []).append(np.array(rows, np.int64))
             self.known = chunk[-1] + 1
-
-    # ---------------------------------------------------------------------------------------------------------- cache
-
-    def _load(self, path: Path) -> None:
-        """Take over a cached file; one that is missing, unreadable or damaged is left out."""
-        try:
-            stored = unpack(path.read_bytes())
-            words, counts, positions, known = (stored[name] for name in SECTIONS)
-            named = [(field, word) for field, word in json.loads(words.tobytes())]
-        except (OSError, ShardError, KeyError, ValueError, TypeError):
-            return
-        are_typed = all(stored[name].dtype == kind and stored[name].ndim == 1 for name, kind in SECTIONS.items())
-        ends = np.cumsum(counts)
-        is_whole = are_typed and len(named) == len(counts) and len(known) == 1 and ends[-1:].sum() == len(positions)
-        if not is_whole or not 0 <= known[0] <= self._count or not ((positions >= 0) & (positions < known)).all():
-            return
-        parts = np.split(positions.astype(np.int64), ends[:-1]) if len(ends) else []
-        self._positions.update({word: [rows] for word, rows in zip(named, parts, strict=True)})
-        self.known = int(known[0])
-
-    def _save(self, path: Path) -> None:
-        """Write to the cache; without room or permission there is none."""
-        words = list(self._positions)
-        parts = [self.positions(*word) for word in words]
-        content: dict[str, np.ndarray] = {
-            "words": np.frombuffer(json.dumps(words).encode(), np.uint8),
-            "counts": np.array([len(rows) for rows in parts], np.int32),
-            "positions": np.concatenate([np.zeros(0, np.int64), *parts]).astype(np.int32),
-            "known": np.array([self.known], np.int32),
-        }
-        with contextlib.suppress(OSError, OutputError):
-            make_folder(path.parent)
-            write_whole(path, pack(content, {"positions": Coding(1)}))
-            _evict(path.parent.glob("*.z"))
-
-
-def _identity(reader: ShardReader) -> str:
-    """A hash of the samples of a split, and of their ``meta.json``, in order."""
-    rows = reader.rows(range(len(reader)))
-    digest = hashlib.sha256(np.ascontiguousarray(reader.index.number[rows]).tobytes())
-    digest.update("".join(shard.sha256 for shard in reader.record.shards).encode())
-    return digest.hexdigest()[:32]
-
-
-def _evict(files: Iterable[Path]) -> None:
-    """Delete all but the latest files of the cache."""
-    for path in sorted(files, key=lambda path: path.stat().st_mtime)[:-KEPT_FILES]:
-        path.unlink(missing_ok=True)
 
 
 def _parsed(content: memoryview) -> Mapping[str, Any]:

@@ -16,7 +16,7 @@ from tests.hub.sets import COUNT
 
 def opened(hub: Hub, tmp_path: Path) -> ShardAlbum:
     store = open_store("org/garments", Remote(endpoint=hub.endpoint, cache_dir=tmp_path / "cache"))
-    return ShardAlbum(ShardReader(store), "org/garments", tmp_path / "cache")
+    return ShardAlbum(ShardReader(store), "org/garments")
 
 
 def test_the_first_page_requests_no_more_than_its_garment_and_a_part_of_the_tags(
@@ -33,7 +33,7 @@ def test_the_first_page_requests_no_more_than_its_garment_and_a_part_of_the_tags
     gallery.close()
 
 
-def test_more_tags_are_requested_on_demand_and_kept(
+def test_more_tags_are_requested_on_demand(
     hub: Hub, commit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(albums, "REQUESTED", 4)
@@ -42,11 +42,6 @@ def test_more_tags_are_requested_on_demand_and_kept(
     for known in (4, 8, COUNT):
         album.read_tags()
         assert album.known == known
-    hub.log.clear()
-    again = opened(hub, tmp_path)
-    again.read_tags()
-    assert again.known == COUNT
-    assert not hub.asked(r"\.tar")
 
 
 def test_reading_tags_ends_where_the_server_fails(hub: Hub, commit: str, tmp_path: Path) -> None:
