@@ -72,13 +72,9 @@ def test_generate_names_other_files_until_it_has_begun(
     assert "other files" not in caplog.text
 
 
-def test_check_finds_nothing_wrong(data: Path, capsys: Capture) -> None:
-    assert main(["check", str(data)]) == 0
-    assert main(["check", str(data), "--bytes"]) == 0
-    assert said(capsys).count("nothing harmful found") == 2
-
-
 def test_check_names_one_flipped_byte(data: Path, capsys: Capture) -> None:
+    assert main(["check", str(data), "--bytes"]) == 0
+    assert "nothing harmful found" in said(capsys)
     path = data / "train-00001.tar"
     content = bytearray(path.read_bytes())
     content[content.index(b"gcd_000000005.verts.z\0") + 600] ^= 1
@@ -95,6 +91,7 @@ def test_check_names_one_flipped_byte(data: Path, capsys: Capture) -> None:
     [
         (lambda folder: (folder / "train-00001.tar").write_bytes(b"short"), "train-00001.tar: no tar header at byte 0"),
         (lambda folder: os.truncate(folder / "train-00001.tar", 6 * 512), "train-00001.tar: "),
+        (lambda folder: (folder / "train-00001.tar").unlink(), "train-00001.tar: no such file, but manifest.json"),
         (lambda folder: (folder / "train.index").unlink(), "train.index: no such file: run gcd index"),
         (lambda folder: (folder / "manifest.json").unlink(), "manifest.json: no such file: run gcd index"),
         (lambda folder: (folder / "train.index").write_bytes(b"PK"), "train.index: not the index of these shards"),
@@ -105,12 +102,6 @@ def test_check_names_each_fault(data: Path, capsys: Capture, harm: object, messa
     harm(data)  # type: ignore[operator]
     assert main(["check", str(data)]) == 1
     assert message in said(capsys)
-
-
-def test_a_missing_shard_is_named(data: Path, capsys: Capture) -> None:
-    (data / "train-00001.tar").unlink()
-    assert main(["check", str(data)]) == 1
-    assert "train-00001.tar: no such file, but manifest.json lists it" in said(capsys)
 
 
 def test_splits_that_share_designs_are_reported(data: Path, capsys: Capture) -> None:
@@ -136,7 +127,7 @@ def hub() -> Iterator[Hub]:
 
 
 def small(out: Path, count: int) -> list[str]:
-    return ["generate", str(out), f"--count={count}", "--stage=pattern", "--quiet"]
+    return ["generate", str(out), f"--count={count}", "--stage=pattern", "--workers=0", "--quiet"]
 
 
 def test_a_stopped_data_set_is_reported_as_unfinished(
@@ -222,8 +213,8 @@ BODIES = ["--stage", "body", "--quiet"]
 
 def test_a_stopped_run_resumes_to_the_same_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, at_once = tmp_path / "data", tmp_path / "at_once"
-    for folder, count, workers in ((out, "1", "0"), (out, "3", "2"), (at_once, "3", "0"), (at_once, "3", "0")):
-        options = ["--count", count, "--seed", "3", "--workers", workers]
+    for folder, count in ((out, "1"), (out, "3"), (at_once, "3"), (at_once, "3")):
+        options = ["--count", count, "--seed", "3", "--workers", "0"]
         assert main(["generate", str(folder), *options, *BODIES]) == 0
     assert [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()] == [
         "1 bodies in two poses, 1 of them made now",
@@ -246,23 +237,6 @@ def test_people_of_a_group(tmp_path: Path, capsys: pytest.CaptureFixture[str], g
     assert people[1]["shape"].numpy() == pytest.approx(drawn.weights, rel=1e-6)
     assert main(["generate", str(tmp_path), "--count", "3", *BODIES]) == 2
     assert "bodies" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--resolution", "2"], "resolution is for garments"),
-        (["--on-fail", "keep"], "on-fail is for garments"),
-        (["--bodies", "neutral"], "bodies is 'neutral': a body set is drawn from random, female, male, pooled"),
-        (["--count", "0"], "count is 0"),
-    ],
-)
-def test_options_for_garments_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
-) -> None:
-    assert main(["generate", str(tmp_path / "out"), "--count", "1", *options, *BODIES]) == 2
-    assert message in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
 
 
 def test_garments_are_not_put_among_bodies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

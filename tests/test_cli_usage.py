@@ -9,7 +9,6 @@ import pytest
 
 from gcd_dataset.cli import _parser, main
 from gcd_dataset.cli.common import EXAMPLES
-from gcd_dataset.errors import did_you_mean
 from gcd_dataset.records import Sample
 from tests.test_cli import SKIRT, exit_code, one_line
 
@@ -23,7 +22,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from gcd_dataset.spec import write_pattern
 
     folder = tmp_path_factory.mktemp("place")
-    assert main(["generate", str(folder / "shards"), "--count", "2", "--stage", "pattern", "--quiet"]) == 0
+    assert (
+        main(["generate", str(folder / "shards"), "--count", "2", "--stage", "pattern", "--workers", "0", "--quiet"])
+        == 0
+    )
     write_pattern(make(1, 0, SKIRT).pattern, folder / "spec.json")
     (folder / "text.txt").write_text("neither\n")
     (folder / "empty.yaml").write_text("meta: {}\n")
@@ -44,6 +46,19 @@ WRONG_USAGE = [
     ("generate out --count 1 --on-fail kep", "did you mean keep?"),
     ("generate out --count 1 --resolutoin 2", "no option --resolutoin: did you mean --resolution?"),
     ("generate out --count 0", "count is 0: give 1 to 10000000"),
+    *(
+        (f"generate out --count {10**12} --stage {stage}", "count is 1000000000000: give 1 to 10000000")
+        for stage in ("pattern", "body")
+    ),
+    *(
+        (f"generate out --count 1 --stage body {options}", message)
+        for options, message in (
+            ("--resolution 2", "resolution is for garments"),
+            ("--on-fail keep", "on-fail is for garments"),
+            ("--bodies neutral", "bodies is 'neutral': a body set is drawn from random, female, male, pooled"),
+            ("--count 0", "count is 0"),
+        )
+    ),
     ("generate out --count -1", "-1 is not a whole number"),
     ("generate out --count 1 --resolution 99", "give a length from 0.2 to 10.0"),
     ("generate out --count 1 --device gpu", "device='gpu': give auto, cpu"),
@@ -83,6 +98,8 @@ WRONG_USAGE = [
     ("check shards shards", "2 inputs: give one data set, or specification files"),
     ("check spec.json --quick", "--quick is for data sets"),
     ("export shards", "one of them"),
+    ("export shards --hdf5 a.h5 --layout published out", "one of them"),
+    ("export shards --layout published out --split test", "--layout takes train, validation and test"),
     ("export shards --layout publishd out", "unknown layout: give published"),
 ]
 
@@ -183,18 +200,6 @@ def test_no_verb_ends_with_the_code_of_ctrl_c_but_after_ctrl_c(
     monkeypatch.setattr("gcd_dataset.check.summary.info_lines", interrupted)
     assert main(["info", "shards"]) == 130
     assert "gcd info: stopped" in one_line(capsys.readouterr().err)
-
-
-@pytest.mark.parametrize(
-    ("word", "known", "message"),
-    [
-        ("tarin", ["train", "test"], ": did you mean train?"),
-        ("x", ["train", "test"], ""),
-        ("", [], ""),
-    ],
-)
-def test_the_nearest_word_is_reported(word: str, known: list[str], message: str) -> None:
-    assert did_you_mean(word, known) == message
 
 
 # -------------------------------------------------------------------------------------------------- waits

@@ -13,11 +13,10 @@ import re
 import tarfile
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from tokenize import TokenError
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
@@ -237,12 +236,10 @@ def _number(bits: UInt8[np.ndarray, " n"], positions: Int[np.ndarray, " k"], wid
 logger = logging.getLogger("gcd_dataset")
 
 SCHEMA = 1
-GZIP_MAGIC = b"\x1f\x8b"
 DAMAGED = (zlib.error, EOFError, tarfile.HeaderError)
 LARGEST_CONTENT = 1 << 62  # bytes of an unpacked archive
 LARGEST = 1 << 28  # bytes of one file of a garment; a published mesh has 2 MB
 MOST_GARMENTS = 1 << 20  # per archive; published archives have 5,000
-GAP = 1 << 22  # bytes between two files of a garment: unpacking a gap costs less than another seek
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,23 +282,18 @@ class Archive(Record):
     def read(self, name: str, kinds: Sequence[str]) -> dict[str, bytes]:
         """Kind to content of a garment's files, without missing ones. Raises ``ShardError`` for a damaged archive."""
         row, numbers = self._row[name], {kind: number for number, kind in enumerate(ENDINGS)}
-        offset, size = self.offset[row].tolist(), self.size[row].tolist()
-        locations = {kind: (offset[numbers[kind]], size[numbers[kind]]) for kind in kinds if offset[numbers[kind]] >= 0}
-        content = {}
-        for group in _neighbours(locations):
-            first = locations[group[0]][0]
-            block = memoryview(self._block(first, max(sum(locations[kind]) for kind in group) - first))
-            for kind in group:
-                start, length = locations[kind]
-                content[kind] = bytes(block[start - first : start - first + length])
-        return content
+        found = [kind for kind in kinds if self.offset[row, numbers[kind]] >= 0]
+        columns = [numbers[kind] for kind in found]
+        starts, ends = self.offset[row, columns].tolist(), (self.offset + self.size)[row, columns].tolist()
+        # The files of a garment are neighbours: unpacking all in between costs less than another seek.
+        first = min(starts, default=0)
+        block = memoryview(self._block(first, max(ends, default=0) - first))
+        return {kind: bytes(block[a - first : b - first]) for kind, a, b in zip(found, starts, ends, strict=True)}
 
     def _block(self, first: int, size: int) -> bytes:
         """``size`` bytes of the unpacked archive from ``first`` on. Raises ``ShardError``."""
         with reading(self.path), self.path.open("rb") as file:
             try:
-                if not len(self.points):
-                    return os.pread(file.fileno(), size, first)
                 return read_from(file.fileno(), self._point(first), first, size)
             except DAMAGED as error:
                 raise _damaged(self.path, error) from error
@@ -323,91 +315,24 @@ class Archive(Record):
     def _read_cache(cls, path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> Self | None:
         """The cached index; ``None`` if it is broken, or describes another archive."""
         try:
-            arrays = _read_arrays(index)
-            if arrays["stamp"].tolist() != [SCHEMA, *stamp] or arrays["kinds"].tolist() != list(ENDINGS):
+            with np.load(index, allow_pickle=False) as file:
+                arrays = dict(file)
+            names, points = tuple(arrays["names"].tolist()), arrays["points"]
+            is_own = arrays["stamp"].tolist() == [SCHEMA, *stamp] and arrays["kinds"].tolist() == list(ENDINGS)
+            if not is_own or windows.stat().st_size != len(points) * WINDOW:
                 return None
-            names = tuple(arrays["names"].tolist())
-            archive = cls(path, names, arrays["offset"], arrays["size"], arrays["points"], windows)
-            return archive if archive._is_valid() else None
-        except BROKEN:
+            return cls(path, names, arrays["offset"], arrays["size"], points, windows)
+        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
             return None
-
-    def _is_valid(self) -> bool:
-        """Whether shapes, types and values of a cached index are valid; offsets are not compared with the archive."""
-        shape = (len(self.names), len(ENDINGS))
-        if not (self.offset.shape == self.size.shape == shape and self.points.shape[1:] == (3,)):
-            return False
-        if not all(array.dtype == np.int64 for array in (self.offset, self.size, self.points)):
-            return False
-        starts = self.points[:, 1]
-        points_valid = not len(starts) or (starts[0] == 0 and (np.diff(starts) > 0).all() and self.points.min() >= 0)
-        files_valid = (self.offset >= -1).all() and (self.size >= 0).all() and (self.size <= LARGEST).all()
-        names_valid = all(isinstance(name, str) for name in self.names)
-        windows_size = self.windows.stat().st_size
-        return bool(points_valid and files_valid and names_valid) and windows_size == len(starts) * WINDOW
-
-
-BROKEN = (OSError, KeyError, ValueError, TypeError, EOFError, SyntaxError, MemoryError, TokenError, zipfile.BadZipFile)
-"""Exceptions of NumPy on a broken index."""
-
-
-def _read_arrays(index: Path) -> dict[str, np.ndarray]:
-    """The arrays of an index. Raises one of ``BROKEN``."""
-    with zipfile.ZipFile(index) as file:
-        # The index is written uncompressed: larger arrays would be a decompression bomb.
-        if sum(info.file_size for info in file.infolist()) > index.stat().st_size:
-            raise ValueError("compressed")
-    with np.load(index, allow_pickle=False) as arrays:
-        return dict(arrays)
-
-
-def _neighbours(locations: Mapping[str, tuple[int, int]]) -> list[list[str]]:
-    """Kinds of file grouped into runs of neighbours, by their (offset, size)."""
-    groups: list[list[str]] = []
-    first = end = 0
-    for kind, (start, size) in sorted(locations.items(), key=lambda entry: entry[1]):
-        if groups and start - end <= GAP and start + size - first <= LARGEST:
-            groups[-1].append(kind)
-            end = max(end, start + size)
-        else:
-            groups.append([kind])
-            first, end = start, start + size
-    return groups
 
 
 # ------------------------------------------------------------------------------------------------------------- scanning
 
 
-class _ArchiveStream(Protocol):
-    """The unpacked archive, read from its first byte on."""
-
-    position: int
-
-    def read(self, size: int) -> bytes: ...
-
-    def skip(self, size: int) -> None: ...
-
-
-class _Plain:
-    """The stream of an uncompressed tar."""
-
-    def __init__(self, file: int) -> None:
-        self._file, self._end, self.position = file, os.fstat(file).st_size, 0
-
-    def read(self, size: int) -> bytes:
-        data = os.pread(self._file, size, self.position)
-        self.position += len(data)
-        return data
-
-    def skip(self, size: int) -> None:
-        self.position = min(self.position + size, self._end)
-
-
 def _scan(path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> None:
     """Scan an archive and write its index. Raises ``ShardError`` for a damaged one, ``OutputError``."""
     with reading(path), open_regular(path) as file:
-        is_packed = os.pread(file.fileno(), 2, 0) == GZIP_MAGIC
-        stream = GzipScanner(file.fileno()) if is_packed else _Plain(file.fileno())
+        stream = GzipScanner(file.fileno())
         try:
             garments = _garments(stream)
         except DAMAGED as error:
@@ -416,9 +341,8 @@ def _scan(path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> Non
         raise ShardError(
             f"{path}: holds no garment of the published layout, such as data/rand_…/rand_…_sim.ply: {REMEDY}"
         )
-    points = stream.points if isinstance(stream, GzipScanner) else []
     locations = np.array([[files.get(kind, (-1, 0)) for kind in ENDINGS] for files in garments.values()], np.int64)
-    numbers = [(point.packed, point.start, int(point.window is not None)) for point in points]
+    numbers = [(point.packed, point.start, int(point.window is not None)) for point in stream.points]
     arrays: dict[str, Any] = {
         "stamp": np.array([SCHEMA, *stamp], np.int64),
         "kinds": np.array(list(ENDINGS)),
@@ -430,11 +354,11 @@ def _scan(path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> Non
     content = io.BytesIO()
     np.savez(content, **arrays)
     # The index last: its presence means that both files are complete.
-    write_cache(windows, b"".join(point.window or bytes(WINDOW) for point in points))
+    write_cache(windows, b"".join(point.window or bytes(WINDOW) for point in stream.points))
     write_cache(index, content.getvalue())
 
 
-def _garments(stream: _ArchiveStream) -> dict[str, dict[str, tuple[int, int]]]:
+def _garments(stream: GzipScanner) -> dict[str, dict[str, tuple[int, int]]]:
     """Garment to kind of file to (offset, size)."""
     kind_of = {ending: kind for kind, ending in ENDINGS.items()}
     garments: dict[str, dict[str, tuple[int, int]]] = {}
@@ -453,7 +377,7 @@ def _garments(stream: _ArchiveStream) -> dict[str, dict[str, tuple[int, int]]]:
     return garments if any(garments.values()) else {}
 
 
-def _entries(stream: _ArchiveStream) -> Iterator[tuple[tarfile.TarInfo, int]]:
+def _entries(stream: GzipScanner) -> Iterator[tuple[tarfile.TarInfo, int]]:
     """Header and content offset of each entry; reads the archive to its end."""
     # Not ``TarFile``: it takes a damaged header for the end of the archive.
     while header := stream.read(BLOCK):

@@ -93,7 +93,7 @@ class _Loader(PlainLoader):
 _Loader.add_multi_constructor("tag:yaml.org,2002:python/", lambda loader, suffix, node: None)
 
 
-ARCHIVES = (".tar.gz", ".tgz", ".tar")
+ARCHIVES = (".tar.gz", ".tgz")
 NO_GARMENTS = frozenset({"renders", "patterns_vis"})  # folders of the authors' tools beside the garments
 
 

@@ -1,11 +1,9 @@
 """Downloaded archives: every garment is read, and the cached index is used until the archive changes."""
 
 import gzip
-import io
 import os
 import shutil
 import tracemalloc
-import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +14,7 @@ import pytest
 from gcd_dataset.errors import OutputError, ShardError
 from gcd_dataset.release.archive import WINDOW, Archive, GzipScanner, SeekPoint, read_from
 from gcd_dataset.release.published_names import ENDINGS
-from tests.release.published import BATCH, BODIES, TEST, TRAIN, file_of, pack, publish
+from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
 from tests.shards.folders import forbidden, public_folder
 
 
@@ -36,12 +34,6 @@ def test_every_file_reads_as_packed(folders: Path, archive: Path) -> None:
     for name in TRAIN:
         found = opened.read(name, list(ENDINGS))
         assert found == {kind: file_of(folders, name, kind).read_bytes() for kind in ENDINGS}
-
-
-def test_an_uncompressed_archive_is_read_too(folders: Path, tmp_path: Path) -> None:
-    root = pack(Path(shutil.copytree(folders, tmp_path / "plain")), packed=False)
-    opened = Archive.opened(root / BATCH / BODIES[0] / "data.tar", None)
-    assert opened.read(TRAIN[1], ["sim"])["sim"] == file_of(folders, TRAIN[1], "sim").read_bytes()
 
 
 def test_an_archive_is_scanned_once(archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,62 +119,6 @@ def test_a_decompression_bomb_takes_little_memory_and_time(archive: Path, conten
         Archive.opened(archive, None)
     assert tracemalloc.get_traced_memory()[1] < 60_000_000
     tracemalloc.stop()
-
-
-def test_distant_files_are_read_one_by_one(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = Archive.opened(archive, None).read(TRAIN[0], list(ENDINGS))
-    monkeypatch.setattr("gcd_dataset.release.archive.GAP", 0)
-    opened, block, read = Archive.opened(archive, None), Archive._block, []
-
-    def noted(archive: Archive, first: int, size: int) -> bytes:
-        read.append(size)
-        return block(archive, first, size)
-
-    monkeypatch.setattr(Archive, "_block", noted)
-    assert opened.read(TRAIN[0], list(ENDINGS)) == before
-    assert len(read) == len(ENDINGS)
-
-
-def kept_arrays(archive: Path) -> tuple[Path, dict[str, np.ndarray]]:
-    Archive.opened(archive, None)
-    (path,) = archive.parent.glob(".*.npz")
-    with np.load(path) as file:
-        return path, dict(file)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"offset": np.zeros(3, np.int64)},
-        {"offset": np.array(0)},
-        {"size": np.full((3, len(ENDINGS)), 1 << 50)},
-        {"size": np.full((3, len(ENDINGS)), -1)},
-        {"size": np.full((3, len(ENDINGS)), 1.5)},
-        {"points": np.full((1, 3), -5)},
-        {"points": np.zeros((0,), np.int64)},
-        {"names": np.array(0)},
-        {"names": np.array([1, 2, 3])},
-    ],
-)
-def test_an_impossible_index_is_rebuilt(archive: Path, change: dict[str, np.ndarray]) -> None:
-    path, arrays = kept_arrays(archive)
-    before = Archive.opened(archive, None).read(TRAIN[1], list(ENDINGS))
-    with path.open("wb") as file:
-        np.savez(file, **(arrays | change))  # type: ignore[arg-type]
-    assert Archive.opened(archive, None).read(TRAIN[1], list(ENDINGS)) == before
-
-
-def test_an_index_that_declares_a_terabyte_is_rebuilt(archive: Path) -> None:
-    path, arrays = kept_arrays(archive)
-    with zipfile.ZipFile(path, "w") as file:
-        for name, array in arrays.items():
-            content = io.BytesIO()
-            np.save(content, array)
-            declared = content.getvalue()
-            if name == "size":
-                declared = declared.replace(b"(3, %d)" % len(ENDINGS), b"(%d,)" % 10**12)
-            file.writestr(f"{name}.npy", declared)
-    assert Archive.opened(archive, None).names == (*TRAIN, *TEST)
 
 
 def test_mutated_archives_are_reported_or_read(archive: Path) -> None:

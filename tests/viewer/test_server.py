@@ -12,6 +12,7 @@ from http.server import ThreadingHTTPServer
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 
 from gcd_dataset.errors import ConfigError
