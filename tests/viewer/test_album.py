@@ -25,6 +25,7 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import EdgeRef, Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.spec import write_pattern
+from gcd_dataset.viewer import garments
 from gcd_dataset.viewer.garments import Filter, PublishedAlbum, ShardAlbum, published_content, spec_album
 from tests.release.published import BATCH, TRAIN, publish
 
@@ -107,6 +108,28 @@ def test_reading_stops_when_the_album_is_closed(album: ShardAlbum) -> None:
     album.close()
     album.read_tags()
     assert album.known == 0
+
+
+def test_tags_are_read_in_parts_and_a_call_before_each_sees_what_is_known(
+    album: ShardAlbum, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(garments, "CHUNK", 2)
+    monkeypatch.setattr(garments, "REQUESTED", 3)
+    album.waits, known = True, list[int]()
+    for _ in range(3):
+        album.read_tags(lambda: known.append(album.known))
+        assert sum(album.facets().kinds.values()) == album.known
+    assert known == [0, 2, 3, 5]
+
+
+def test_a_damaged_garment_has_no_tags_and_the_others_do(folder: Path, tmp_path: Path) -> None:
+    album = ShardAlbum(ShardReader(Path(shutil.copytree(folder, tmp_path / "copy"))), "shards")
+    (shard,) = (tmp_path / "copy").glob("*.tar")
+    content = bytearray(shard.read_bytes())
+    content[int(album._reader.index.start[2]) + 700] ^= 1  # in its meta.json
+    shard.write_bytes(content)
+    album.read_tags()
+    assert (album.known, album.facets().kinds) == (COUNT, {"dress": 3, "skirt": 2})
 
 
 def test_a_picture_is_the_stored_front_or_the_drape_rendered_or_the_pattern(tmp_path: Path) -> None:

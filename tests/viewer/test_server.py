@@ -65,6 +65,7 @@ class Observed(Album):
     """Three empty pages; it tells which one is made."""
 
     title = "observed"
+    known = 3
 
     def __init__(self) -> None:
         self.made: queue.Queue[int] = queue.Queue()
