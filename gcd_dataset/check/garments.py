@@ -13,6 +13,7 @@ from gcd_dataset.check import checks
 from gcd_dataset.check.checks import Check
 from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import Rule, Severity, check_pattern
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Grade, Outcome, Pattern
 from gcd_dataset.tensors import CurveKind, EdgeColumn, PatternTensor, StitchColumn, decode_pattern
 
@@ -311,12 +312,10 @@ def loop_areas(edges: Float[np.ndarray, "e 13"], count: int) -> Float[np.ndarray
     middle = np.where(kind == CurveKind.QUADRATIC, (start + 2 * c0 + end) / 4, (start + end) / 2)
     middle = np.where(kind == CurveKind.CUBIC, (start + 3 * (c0 + c1) + end) / 8, middle)
     middle = np.where(kind == CurveKind.ARC, c0, middle)
-    twice = _cross(start, middle) + _cross(middle, end)
+    twice = (
+        start[:, 0] * middle[:, 1] - start[:, 1] * middle[:, 0] + middle[:, 0] * end[:, 1] - middle[:, 1] * end[:, 0]
+    )
     return 0.5 * np.bincount(panel, twice, count)
-
-
-def _cross(a: Float[np.ndarray, "e 2"], b: Float[np.ndarray, "e 2"]) -> Float[np.ndarray, " e"]:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def loop_outwardness(
@@ -372,11 +371,8 @@ def sewing_faults(
 
 def open_edges(faces: Int[np.ndarray, "f 3"], seams: Int[np.ndarray, "n 2"], stitches: int) -> Int[np.ndarray, " s"]:
     """Number of mesh edges of each seam that belong to one triangle only."""
-    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    count = int(faces.max()) + 1
-    codes, uses = np.unique(ends[:, 0] * count + ends[:, 1], return_counts=True)
-    border = codes[uses == 1]
-    first, second = border // count, border % count
+    edges = mesh_edges(faces)
+    first, second = edges.ends[edges.counts == 1].T
     # Vertex and seam as one sorted code: a border edge is on a seam if both of its ends are.
     rows = np.unique(seams[:, 0] * stitches + seams[:, 1])
     on = np.searchsorted(rows // stitches, [first, first + 1]) if len(rows) else np.zeros((2, len(first)), int)
