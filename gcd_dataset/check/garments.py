@@ -312,10 +312,8 @@ def loop_areas(edges: Float[np.ndarray, "e 13"], count: int) -> Float[np.ndarray
     middle = np.where(kind == CurveKind.QUADRATIC, (start + 2 * c0 + end) / 4, (start + end) / 2)
     middle = np.where(kind == CurveKind.CUBIC, (start + 3 * (c0 + c1) + end) / 8, middle)
     middle = np.where(kind == CurveKind.ARC, c0, middle)
-    twice = (
-        start[:, 0] * middle[:, 1] - start[:, 1] * middle[:, 0] + middle[:, 0] * end[:, 1] - middle[:, 1] * end[:, 0]
-    )
-    return 0.5 * np.bincount(panel, twice, count)
+    (dx, dy), (x, y) = (start - end).T, middle.T
+    return 0.5 * np.bincount(panel, dx * y - dy * x, count)
 
 
 def loop_outwardness(

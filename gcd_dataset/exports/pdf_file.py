@@ -192,14 +192,9 @@ def pdf(garment: Sample | Pattern, path: Path | str, *, seam_allowance: float = 
 
     ``seam_allowance``: cloth beyond the sew line [cm]; ``paper``: a name of ``PAPERS``. Raises ``ConfigError`` for a
     name that does not end in ``.pdf``, an unknown paper or an allowance out of range, ``PatternError`` for a pattern
-    that cannot be sewn, ``ExtraMissing`` without reportlab, ``OutputError``.
+    that cannot be sewn, ``ExtraMissing`` without reportlab, ``OutputError``. Equal patterns give equal bytes.
     """
     path = require_suffix(path, ".pdf")
-    write_whole(path, pdf_bytes(garment, seam_allowance=seam_allowance, paper=paper))
-
-
-def pdf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, paper: str = "a4") -> bytes:
-    """The content of the file that ``pdf`` writes; equal patterns give equal bytes."""
     canvas_class = optional("reportlab.pdfgen.canvas").Canvas
     metrics, fonts = (optional(f"reportlab.pdfbase.{module}") for module in ("pdfmetrics", "cidfonts"))
     for font in ASIAN_FONTS.values():
@@ -222,7 +217,7 @@ def pdf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, paper: 
     for piece in pieces:
         canvas.addOutlineEntry(piece.name, piece.name)
     canvas.save()
-    return file.getvalue()
+    write_whole(path, file.getvalue())
 
 
 @dataclass(frozen=True)
