@@ -1,9 +1,10 @@
 """``gcd export`` of one garment or pattern."""
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import trimesh
@@ -132,7 +133,13 @@ def test_a_specification_is_draped_on_the_neutral_body(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As ``gcd drape --glb`` writes it: a node, texture coordinates and a material for each panel."""
-    monkeypatch.setattr(fitting, "drape_patterns", partial(fitting.drape_patterns, resolution=6.0, device="cpu"))
+    drape, drapes = fitting.drape_patterns, list[Any]()
+
+    def once(patterns: Any, wearer: Any, **options: Any) -> Iterator[Any]:
+        drapes.extend(drapes or drape(patterns, wearer, resolution=6.0, device="cpu"))
+        return iter(drapes[:1])
+
+    monkeypatch.setattr(fitting, "drape_patterns", once)
     write_pattern(make(0, 0, MakeConfig(stage="pattern", design=SKIRTS)).pattern, tmp_path / "a.json")
     assert run("export", tmp_path / "a.json", "--glb", tmp_path / "a.glb") == 0, capsys.readouterr().err
     words = ("--resolution", "6", "--device", "cpu", "--quiet", "--glb", "--out", tmp_path / "draped")
