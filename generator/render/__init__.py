@@ -131,40 +131,4 @@ __all__ = [
     "start_pictures",
 ]
 
-_NAMES_OF_MODULE = {
-    "sketches": ("FLAT", "HAND", "SketchStyle", "sketch", "sketch_camera"),
-    "scans": (
-        "KINECT",
-        "NOISELESS",
-        "DepthNoise",
-        "PointScan",
-        "ScanRanges",
-        "draw_scan_cameras",
-        "scan",
-        "scan_cameras",
-    ),
-    "appearance": (
-        "Appearance",
-        "Cloth",
-        "Hair",
-        "Print",
-        "PrintKind",
-        "Skin",
-        "Stitching",
-        "Underwear",
-        "Weave",
-        "WeaveKind",
-    ),
-    "cameras": ("Camera", "CameraRanges", "draw_camera", "fixed_camera", "look_at"),
-    "casting": ("PendingPictures", "render", "start_pictures"),
-    "draw": ("Ranges", "draw_hair", "draw_view", "draw_views"),
-    "materials": ("AppearanceRanges", "draw_appearance"),
-    "environment": ("Environment", "EnvironmentKind", "EnvironmentRanges", "draw_environment"),
-    "images": ("read_picture",),
-    "lights": ("LightRanges", "Lights", "draw_lights"),
-    "pictures": ("MAPS", "Picture", "View"),
-    "plain": ("ColouredMesh", "garment_scene", "render_garment", "render_sample", "render_view"),
-    "scene": ("HairStyle", "Scene", "scene_of", "scene_of_sample"),
-}
-
-__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)
+__getattr__, __dir__ = lazy_names(__name__)
