@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.common import (
     SOURCE_HELP,
+    Bar,
     add_quiet,
     add_server,
     add_verb,

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli import datasets
-from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.common import (
+    Bar,
     Parser,
     add_quiet,
     add_verb,

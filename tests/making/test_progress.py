@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from gcd_dataset.cli.bar import postfix
+from gcd_dataset.cli.common import postfix
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making.progress import Pace, Progress
 from gcd_dataset.making.run import Made, Wanted, run
