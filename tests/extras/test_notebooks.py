@@ -26,7 +26,7 @@ DISPLAYED = {
 }
 """Expression to the number of pictures that it displays."""
 BAR = """
-from gcd_dataset.cli.bar import Bar
+from gcd_dataset.cli.common import Bar
 from gcd_dataset.making.progress import Progress
 with Bar("garment", quiet=False) as bar:
     bar.show(Progress(8, 0))
