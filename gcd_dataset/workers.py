@@ -43,15 +43,21 @@ def parallel_map(work: Callable[[Task], Result], tasks: Iterable[Task], workers:
         yield from map(work, tasks)
         return
     waiting = iter(tasks)
+    in_flight = deque[Future[Result]]()
     with _process_pool(workers) as pool:
 
-        def submit(count: int) -> Iterator[Future[Result]]:
-            return (_submit(pool, work, task) for task in islice(waiting, count))
+        def submit(count: int) -> None:
+            for task in islice(waiting, count):
+                with _starting():  # the pool starts its processes here
+                    in_flight.append(pool.submit(work, task))
 
-        in_flight = deque(submit(AHEAD * workers))
-        while in_flight:
-            yield _result(in_flight.popleft())
-            in_flight.extend(submit(1))
+        try:
+            submit(AHEAD * workers)
+            while in_flight:
+                yield in_flight.popleft().result()
+                submit(1)
+        except BrokenProcessPool as error:
+            raise GcdError(f"{KILLED}; or {UNSTARTED}") from error
 
 
 def parallel_map_chunks(
@@ -148,22 +154,6 @@ def _receive(connection: Connection, process: BaseProcess) -> Iterator[Any]:
         if error is not None:
             raise error
         yield result
-
-
-def _submit(pool: ProcessPoolExecutor, work: Callable[[Task], Result], task: Task) -> Future[Result]:
-    """The future of a task. Raises ``GcdError`` if a process of the pool has died."""
-    try:
-        with _starting():  # the pool starts its processes here
-            return pool.submit(work, task)
-    except BrokenProcessPool as error:
-        raise GcdError(f"{KILLED}; or {UNSTARTED}") from error
-
-
-def _result(task: Future[Result]) -> Result:
-    try:
-        return task.result()
-    except BrokenProcessPool as error:
-        raise GcdError(f"{KILLED}; or {UNSTARTED}") from error
 
 
 def _spawn_context() -> SpawnContext:
