@@ -52,7 +52,7 @@ def examine(
     examined in full. Of a set of bodies the files alone are examined. ``every_byte`` compares the hashes of all shards
     and members, and ``recipe``, a name or a file, the samples with that recipe: both of a folder of shards.
     ``endpoint``: server of the Hub. ``cache_dir``: folder for data from a server, by default ``~/.cache/gcd_dataset``,
-    and for the indices of published archives, by default beside them.
+    and for unpacked published archives, by default beside them.
 
     >>> from gcd_dataset.check import examine
     >>> [finding.check.name for finding in examine("shards").harmful]  # doctest: +SKIP

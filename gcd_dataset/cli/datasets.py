@@ -98,7 +98,7 @@ def _add_check(verbs: Any) -> None:
         "--cache-dir",
         type=Path,
         metavar="DIR",
-        help="folder for data from a server, and for the indices of published archives",
+        help="folder for data from a server, and for unpacked published archives",
     )
     add_quiet(check)
     add_server(check)

@@ -33,7 +33,7 @@ def add_verbs(verbs: Any) -> None:
     )
     convert.add_argument("--workers", type=natural_number, default=0, help="processes (default: this one)")
     convert.add_argument(
-        "--cache-dir", type=Path, metavar="DIR", help="folder for the indices of archives (default: beside them)"
+        "--cache-dir", type=Path, metavar="DIR", help="folder for unpacked archives (default: beside them)"
     )
     add_quiet(convert)
 

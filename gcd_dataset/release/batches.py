@@ -156,7 +156,7 @@ class PublishedBatches:
     """The batches of a release, each with its garments on the default body, on random bodies, or both.
 
     ``root``: the folder with ``garments_5000_0`` and further batches, or its parent. ``bodies``: ``default``,
-    ``random`` or ``both``. ``cache_dir``: folder for the indices of archives and the extracts of properties files; by
+    ``random`` or ``both``. ``cache_dir``: folder for unpacked archives and the extracts of properties files; by
     default beside the files. May be pickled and forked.
 
     Raises ``ConfigError`` for an unknown choice of bodies, ``ShardError`` for a folder without the layout or a damaged
