@@ -2,6 +2,7 @@
 
 import codecs
 import logging
+import math
 import re
 import reprlib
 from collections.abc import Mapping

@@ -242,7 +242,7 @@ def _properties(name: str, batch: _PublishedBatch) -> dict[str, Any]:
     """The tree of the properties file: figures of each garment by name, and summaries over the batch."""
     panels, counts = batch.panels, batch.counts
     failed = {kind: [name for name, of in batch.fails.items() if of == kind] for kind in FAILS}
-    collisions = {}
+    collisions = dict[str, float]()
     for key in ("self_collisions", "body_collisions"):
         array = np.array(list(counts[key].values()))
         figures = {"avg": array.mean(), "med": np.median(array)}

@@ -57,7 +57,7 @@ def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_pat
     scene = trimesh.load(tmp_path / "a.glb")
     assert scene.metadata["gcd"]["tile_cm"] == 4.0
     assert "body" not in scene.geometry
-    assert run("export", shards, "--index", "1", "--pdf", tmp_path / "a.pdf", "--paper", "letter") == 0
+    assert run("export", spec, "--pdf", tmp_path / "a.pdf", "--paper", "letter") == 0
     assert float(PdfReader(tmp_path / "a.pdf").pages[0].mediabox.width) == pytest.approx(612, abs=0.1)
     assert run("export", spec, "--dxf", tmp_path / "a.dxf", "--seam-allowance", "0.5") == 0
     [cut] = read_dxf(tmp_path / "a.dxf")["one"].of("1", "POLYLINE")
@@ -84,7 +84,7 @@ def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_pat
         ),
         (["SHARDS", "--ply", "a.ply", "--no-body"], 2, "--no-body is for --glb, --obj, --usd: leave it out"),
         (["SHARDS", "--pdf", "a.pdf", "--paper", "a"], 2, "no paper a: choose from a4, letter"),
-        (["SHARDS", "--pdf", "no/such/a.pdf"], 1, "no/such/a.pdf: cannot be written"),
+        (["SPEC", "--pdf", "no/such/a.pdf"], 1, "no/such/a.pdf: cannot be written"),
         (["SPEC", "--usd", "a.glb"], 2, "a.glb: the file is USD: end its name in .usd"),
         (["SPEC", "SPEC", "--glb", "a.glb"], 2, "--glb a.glb: 2 files are exported: give a folder"),
         (["SHARDS", "SHARDS", "--glb", "a.glb"], 2, "2 inputs: give one data set, or specification files"),

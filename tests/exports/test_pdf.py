@@ -95,8 +95,8 @@ def read(pattern: Pattern | Sample, path: Path, **options: Any) -> PdfReader:
 
 def test_sew_lines_have_the_areas_of_the_panels(patterns: tuple[Pattern, ...], tmp_path: Path) -> None:
     for pattern in patterns:
-        reader, found = read(pattern, tmp_path, seam_allowance=1.2), {}
-        for page in reader.pages[1:]:
+        reader, found = read(pattern, tmp_path, seam_allowance=1.2, paper="a0"), {}
+        for page in reader.pages:
             for line in sew_lines(page, reader):
                 found[round(shapely.Polygon(line.points).area, 3)] = line
         exact = np.array([exact_area(panel) for panel in pattern.panels])
