@@ -9,8 +9,8 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self
+from types import FrameType
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 from gcd_dataset import files
 from gcd_dataset.errors import ConfigError, ShardError, SpecError, did_you_mean, shown
@@ -361,14 +361,17 @@ class Bar:
     def run(self, work: Callable[..., Any]) -> Any:
         """The result of ``work(on_progress=…)``. Raises ``Stopped``, with the latest progress, after a signal."""
         try:
-            return work(on_progress=self.show)
+            return work(on_progress=self._show)
         except KeyboardInterrupt as error:
             done = self.progress
             split = "" if done.split == "train" else f" of {done.split}"
             so_far = f" at {done.done} of {done.count}{split}" if done.count else ""
             raise Stopped(Stopped.of(error).number, f"{so_far}: {self._again}") from None
+        finally:
+            if self._bar is not None:
+                self._bar.close()
 
-    def show(self, progress: Progress) -> None:
+    def _show(self, progress: Progress) -> None:
         """Update the bar; a ``ProgressCallback``."""
         if self._bar is None or progress.split != self.progress.split:
             self._begin(progress)
@@ -391,7 +394,8 @@ class Bar:
             def format_dict(self) -> dict[str, Any]:
                 return {**super().format_dict, **({} if bar.progress.rate is None else {"rate": bar.progress.rate})}
 
-        self._end()
+        if self._bar is not None:
+            self._bar.close()
         self.progress = Progress(progress.count, progress.existing, split=progress.split)
         self._bar = Paced(
             total=progress.count,
@@ -400,18 +404,6 @@ class Bar:
             desc=None if progress.split == "train" else progress.split,
             disable=self._quiet,
         )
-
-    def _end(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._end()
 
 
 def postfix(progress: Progress) -> str:

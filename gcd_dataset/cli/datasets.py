@@ -133,9 +133,9 @@ def _check_set(options: argparse.Namespace) -> int:
     from gcd_dataset.check import Harm, examine
 
     [source] = options.what
-    with Bar("garment", options.quiet, verb="check", again="nothing was changed") as bar:
-        work = partial(examine, source, quick=options.quick, every_byte=options.bytes, recipe=options.recipe)
-        report = bar.run(partial(work, endpoint=options.endpoint, cache_dir=options.cache_dir))
+    bar = Bar("garment", options.quiet, verb="check", again="nothing was changed")
+    work = partial(examine, source, quick=options.quick, every_byte=options.bytes, recipe=options.recipe)
+    report = bar.run(partial(work, endpoint=options.endpoint, cache_dir=options.cache_dir))
     if options.errors:
         report = replace(report, findings=report.harmful)
     is_good = not report.harmful and not report.faults

@@ -80,8 +80,7 @@ def _convert(options: argparse.Namespace) -> int:
     from gcd_dataset import convert
 
     work = partial(convert, options.published, options.out, bodies=options.bodies, workers=options.workers)
-    with Bar("garment", options.quiet, verb="convert") as bar:
-        done = bar.run(partial(work, cache_dir=options.cache_dir))
+    done = Bar("garment", options.quiet, verb="convert").run(partial(work, cache_dir=options.cache_dir))
     print(f"{options.out}: {done.count} garments, {done.made} of them converted now")
     for line in summary_lines(options.out):
         print(f"  {line}")
@@ -199,10 +198,9 @@ def _export_data_set(options: argparse.Namespace, form: str) -> int:
     out = options.hdf5 or options.plain or Path(options.layout[1])
     resumes = form == "layout"
     again = "the same command continues from there" if resumes else f"{out} was not written: run it again"
-    with Bar("garment", options.quiet, verb="export", again=again) as bar:
-        folder = require_folder(options.what)
-        exported: Any = "published" if form == "layout" else form
-        bar.run(partial(export, folder, out, exported, split=options.split))
+    bar, folder = Bar("garment", options.quiet, verb="export", again=again), require_folder(options.what)
+    exported: Any = "published" if form == "layout" else form
+    bar.run(partial(export, folder, out, exported, split=options.split))
     done = bar.progress
     layout = " in the published layout" if form == "layout" else ""
     print(f"{out}: {done.count} garments of {done.split}{layout}")

@@ -98,8 +98,8 @@ def _generate(options: argparse.Namespace) -> int:
         else:
             work = partial(generate, config=MakeConfig(**given), engine=options.engine)
         work = partial(work, options.out, options.count, seed=options.seed or 0)
-    with Bar(unit, options.quiet) as bar:
-        bar.run(partial(work, job=job, workers=options.workers, log=options.log))
+    bar = Bar(unit, options.quiet)
+    bar.run(partial(work, job=job, workers=options.workers, log=options.log))
     done, what = bar.progress, "bodies in two poses" if unit == "body" else "garments"
     of_job = "" if job is None else f"job {job}: "
     rejected = f", {done.rejects.total()} designs or drapes rejected" if unit == "garment" else ""
