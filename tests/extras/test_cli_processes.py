@@ -127,7 +127,7 @@ def test_ctrl_c_between_time_steps_ends_a_drape(tmp_path: Path) -> None:
 def test_a_full_disk_ends_an_export_to_hdf5(tmp_path: Path) -> None:
     """The disk fills up at any byte: in the layout, in the arrays, in the final metadata."""
     data = fill(tmp_path / "data", range(3))
-    assert run("export", data, "--hdf5", tmp_path / "a.h5", "--quiet") == 0
+    assert main(["export", str(data), "--hdf5", str(tmp_path / "a.h5"), "--quiet"]) == 0
     size = (tmp_path / "a.h5").stat().st_size
     (tmp_path / "a.h5").unlink()
     program = f"""
