@@ -1,6 +1,7 @@
 """Exporting a data set to the folder layout of the published GarmentCodeData."""
 
 import hashlib
+import io
 import json
 import logging
 import string
@@ -12,18 +13,23 @@ from statistics import mean, median
 from typing import Any
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from gcd_dataset import __version__
 from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.filekinds import BODY_FOLDERS
 from gcd_dataset.files import safe_name, write_whole
+from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.garments.design import design_tree
 from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
+from gcd_dataset.generator.lay_plan import INK, LayPlan, cloth_colour, lay_out
+from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.release.published_names import DEFAULT_BODY, SPLIT_NAMES, properties_name
 from gcd_dataset.release.write import (
     FAIL_CLASSES,
+    PatternDrawing,
     ReleaseDraft,
     garment_files,
     release_draft,
@@ -38,6 +44,9 @@ BATCH = 5000  # designs in a batch
 LETTERS = string.ascii_uppercase + string.digits
 LETTERS_IN_NAME = 10
 SPLIT_FILE = "GarmentCodeData_v2_official_train_valid_test_data_split.json"
+TEXTURE = 15  # pixels per centimetre
+LARGEST_TEXTURE = 2048  # pixels
+CLOTH_OPACITY, OUTLINE = 166, 0.5  # opacity of cloth, of 255; width of outlines [cm]
 
 
 @dataclass(frozen=True)
@@ -122,30 +131,32 @@ def _write_garments(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> 
             yield published.name
         first_batch += last // BATCH + 1
     for (name, body_folder), batch in batches.items():
-        tree = yaml_bytes(_properties(name, batch))
-        write_whole(draft.folder / name / body_folder / properties_name(body_folder), tree)
+        tree = batch_properties(name, batch.panels, batch.types, batch.counts, batch.fails)
+        write_whole(draft.folder / name / body_folder / properties_name(body_folder), yaml_bytes(tree))
     lists = {name: list(splits.get(name, {})) for name, *_ in SPLIT_NAMES.values()}
     write_whole(draft.folder / SPLIT_FILE, json.dumps(lists, indent=4).encode())
 
 
 def _write(sample: Sample, published: PublishedName, draft: ReleaseDraft, batch: _PublishedBatch) -> None:
-    """Write the files of a garment, unless they are there, and add it to the properties of its batch."""
-    name, folder = published.name, Path(published.batch, published.body_folder, "data", published.name)
-    tree = sample.design if sample.provenance.source else design_tree(design_from_dict(sample.design))
+    tree, folder = _design(sample), Path(published.batch, published.body_folder, "data", published.name)
     if not draft.holds(folder):
-        draft.put(folder, garment_files(sample, name, tree, body_sample=published.body_sample))
+        files = garment_files(sample, published.name, tree, _drawing(sample), body_sample=published.body_sample)
+        draft.put(folder, files)
+    _add_properties(sample, published.name, tree, batch)
+
+
+def _add_properties(sample: Sample, name: str, tree: Mapping[str, Any], batch: _PublishedBatch) -> None:
     drape, mesh = sample.drape, sample.box_mesh
     assert drape is not None
     assert mesh is not None
     batch.panels[name] = len(sample.pattern.panels)
     batch.types[name] = garment_type(tree)
-    for key, count in (
-        ("fin_frame", drape.frames),
-        ("self_collisions", drape.self_crossings),
-        ("body_collisions", drape.body_crossings),
-        ("face_count", len(mesh.faces)),
-    ):
-        batch.counts.setdefault(key, {})[name] = count
+    batch.counts[name] = {
+        "fin_frame": drape.frames,
+        "self_collisions": drape.self_crossings,
+        "body_collisions": drape.body_crossings,
+        "face_count": len(mesh.faces),
+    }
     if drape.outcome is not Outcome.SETTLED:
         batch.fails[name] = FAIL_CLASSES[drape.outcome]
 
@@ -194,6 +205,39 @@ def _name(design: str) -> str:
 # ------------------------------------------------------------------------------------------------------------- content
 
 
+def _design(sample: Sample) -> Mapping[str, Any]:
+    """The tree of design parameters; a published garment's tree is unchanged."""
+    return sample.design if sample.provenance.source else design_tree(design_from_dict(sample.design))
+
+
+def _drawing(sample: Sample) -> PatternDrawing:
+    """Pictures of the pattern, and the texture with its layout."""
+    plan = lay_out(sample.pattern)
+    return PatternDrawing(
+        svg=pattern_svg(sample.pattern),
+        drawing=png_bytes(draw_pattern(sample.pattern)),
+        texture=_texture(plan),
+        shifts=np.array([laid.shift for laid in plan.panels]).reshape(-1, 2),
+        size=np.array([plan.width, plan.height]),
+    )
+
+
+def _texture(plan: LayPlan) -> bytes:
+    """PNG of the laid-out panels, filled and outlined on a transparent background."""
+    scale = min(TEXTURE, LARGEST_TEXTURE / max(plan.width, plan.height))
+    height = scale * plan.height
+    image = Image.new("RGBA", (round(scale * plan.width), round(height)))
+    canvas = ImageDraw.Draw(image)
+    for laid in plan.panels:
+        x, y = (scale * (laid.outline + laid.shift)).T
+        corners = list(zip(x.tolist(), (height - y).tolist(), strict=True))
+        width = max(round(scale * OUTLINE), 1)
+        canvas.polygon(corners, fill=(*cloth_colour(laid.number), CLOTH_OPACITY), outline=(*INK, 255), width=width)
+    file = io.BytesIO()
+    image.save(file, "PNG")
+    return file.getvalue()
+
+
 UPPERS = {member.value: member.garment for member in Upper}
 BOTTOMS = {member.value: member.garment for member in Bottom}
 DRESS = 1.4  # least sum of the lengths of top, belt and skirt of a dress
@@ -238,46 +282,64 @@ def garment_type(design: Mapping[str, Any]) -> dict[str, Any]:
     return {"main": main, "styles": styles}
 
 
-def _properties(name: str, batch: _PublishedBatch) -> dict[str, Any]:
-    """The tree of the properties file: figures of each garment by name, and summaries over the batch."""
-    panels, counts = batch.panels, batch.counts
-    failed = {kind: [name for name, of in batch.fails.items() if of == kind] for kind in FAILS}
-    collisions = dict[str, float]()
-    for key in ("self_collisions", "body_collisions"):
-        array = np.array(list(counts[key].values()))
-        figures = {"avg": array.mean(), "med": np.median(array)}
-        figures |= {f"p{share}": np.percentile(array, share) for share in (80, 95)}
-        collisions |= {f"{key}_{figure}": float(value) for figure, value in figures.items()}
+def batch_properties(
+    batch: str,
+    panels: Mapping[str, int],
+    types: Mapping[str, Mapping[str, Any]],
+    counts: Mapping[str, Mapping[str, int]],
+    fails: Mapping[str, str],
+) -> dict[str, Any]:
+    """The tree of the properties file: figures of each garment by name, and summaries over the batch.
+
+    By name of the garment: ``panels``: number of panels; ``types``: ``garment_type``; ``counts``: ``fin_frame``,
+    ``self_collisions``, ``body_collisions`` and ``face_count``; ``fails``: class of the failure.
+    """
+    by_name: dict[str, dict[str, int]] = {
+        key: {name: count[key] for name, count in counts.items()}
+        for key in ("fin_frame", "self_collisions", "body_collisions", "face_count")
+    }
+    failed = {kind: [name for name, of in fails.items() if of == kind] for kind in FAILS}
+    collisions = {
+        f"{key}_{name}": figure
+        for key in ("self_collisions", "body_collisions")
+        for name, figure in _spread(by_name[key].values()).items()
+    }
     return {
         "body_default": DEFAULT_BODY,
         "body_samples": "5000_body_shapes_and_measures",
         "size": len(panels),
-        "name": name,
+        "name": batch,
         "to_subfolders": True,
         "generator": {
             "stats": {
-                "panel_count": panels,
-                "garment_types": batch.types,
-                "garment_types_summary": _summary(batch.types.values()),
+                "panel_count": dict(panels),
+                "garment_types": {name: dict(kind) for name, kind in types.items()},
+                "garment_types_summary": _summary(types.values()),
                 "panel_count_avg": mean(panels.values()),
                 "panel_count_med": float(median(panels.values())),
                 "panel_count_min": min(panels.values()),
                 "panel_count_max": max(panels.values()),
             }
         },
-        "data_folder": name,
+        "data_folder": batch,
         "sim": {
             "stats": {
                 "fails": failed,
-                **counts,
+                **by_name,
                 "stop_over": [],
-                "fin_frame_avg": float(mean(counts["fin_frame"].values())),
+                "fin_frame_avg": float(mean(by_name["fin_frame"].values())),
                 **collisions,
-                "fails_count": len(batch.fails),
+                "fails_count": len(fails),
             }
         },
         "frozen": True,
     }
+
+
+def _spread(values: Iterable[int]) -> dict[str, float]:
+    array = np.array(list(values))
+    figures = {"avg": array.mean(), "med": np.median(array)} | {f"p{p}": np.percentile(array, p) for p in (80, 95)}
+    return {name: float(figure) for name, figure in figures.items()}
 
 
 def _summary(types: Iterable[Mapping[str, Any]]) -> dict[str, Any]:

@@ -10,20 +10,19 @@ import pickle
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from PIL import Image, ImageDraw
+from jaxtyping import Float, Int
+from PIL import Image
 
 from gcd_dataset.bodyfiles import measurements_tree
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import make_folder, require_name, write_whole, writing_to
-from gcd_dataset.generator.drawing import draw_pattern, png_bytes
-from gcd_dataset.generator.lay_plan import INK, LayPlan, cloth_colour, lay_out
-from gcd_dataset.generator.svg import pattern_svg
-from gcd_dataset.records import ANGLES, BoxMesh, Drape, Measurements, Outcome, Sample
+from gcd_dataset.records import ANGLES, BoxMesh, Drape, Measurements, Outcome, Record, Sample
 from gcd_dataset.release.meshes import Ply, weld, write_ply
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.shards.access import locked, reading
@@ -104,9 +103,6 @@ def release_draft(folder: Path | str, garments: str) -> Iterator[ReleaseDraft]:
 
 
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-TEXTURE = 15  # pixels per centimetre
-LARGEST_TEXTURE = 2048  # pixels
-CLOTH_OPACITY, OUTLINE = 166, 0.5  # opacity of cloth, of 255; width of outlines [cm]
 PICTURE = 800  # width and height of a render [pixels]
 PICKLE = 4  # pickle protocol
 DEGREE_DIGITS = 10
@@ -125,7 +121,24 @@ FAIL_CLASSES: Mapping[Outcome, str] = {
 """Outcome to the failure class in the properties of a batch; ``crashes`` if no class of the layout fits."""
 
 
-def garment_files(sample: Sample, name: str, design: Mapping[str, Any], *, body_sample: str | None) -> dict[str, bytes]:
+@dataclass(frozen=True, eq=False)
+class PatternDrawing(Record):
+    """The drawings of a pattern, and the positions of its panels in the texture."""
+
+    svg: bytes
+    drawing: bytes
+    """PNG of the pattern."""
+    texture: bytes
+    """PNG of the texture."""
+    shifts: Float[np.ndarray, "p 2"]
+    """Translation from each panel's plane to the texture [cm]."""
+    size: Float[np.ndarray, "2"]
+    """Width and height of the texture [cm]."""
+
+
+def garment_files(
+    sample: Sample, name: str, design: Mapping[str, Any], drawn: PatternDrawing, *, body_sample: str | None
+) -> dict[str, bytes]:
     """File name to content of the 13 files of a draped garment.
 
     ``design``: the tree of its parameters. ``body_sample``: name of the wearer; ``None`` for the default body. Raises
@@ -134,18 +147,17 @@ def garment_files(sample: Sample, name: str, design: Mapping[str, Any], *, body_
     mesh, drape = sample.box_mesh, sample.drape
     if mesh is None or drape is None:
         raise ShardError(f"sample {sample.key} is not draped, but the published layout needs drapes: drape it")
-    plan = lay_out(sample.pattern)
     content = {
         "spec": json.dumps(spec_from_pattern(sample.pattern), indent=2).encode(),
-        "svg": pattern_svg(sample.pattern),
-        "drawing": png_bytes(draw_pattern(sample.pattern)),
+        "svg": drawn.svg,
+        "drawing": drawn.drawing,
         "design": yaml_bytes({"design": design}),
         "measures": yaml_bytes({"body": _measures(sample.measurements, body_sample)}),
-        **_meshes(sample.key, mesh, drape, plan),
+        **_meshes(sample.key, mesh, drape, drawn),
         "segmentation": "".join(f"{line}\n" for line in _segments(mesh)).encode(),
         "vertex_labels": yaml_bytes({str(label): ids.tolist() for label, ids in mesh.labels.items()}),
         "rest_lengths": pickle.dumps(_rest_lengths(mesh), protocol=PICKLE),
-        "texture": _texture(plan),
+        "texture": drawn.texture,
         "front": _render(sample.front),
         "back": _render(sample.back),
     }
@@ -166,12 +178,11 @@ def _measures(measurements: Measurements, body_sample: str | None) -> dict[str, 
     return dict(sorted((tree if body_sample is None else tree | {"body_sample": body_sample}).items()))
 
 
-def _meshes(key: str, mesh: BoxMesh, drape: Drape, plan: LayPlan) -> dict[str, bytes]:
+def _meshes(key: str, mesh: BoxMesh, drape: Drape, drawn: PatternDrawing) -> dict[str, bytes]:
     """Both PLY files: a split vertex for each row of ``uv``, sorted by welded vertex. Raises ``ShardError``."""
     panel_of_row = np.zeros(len(mesh.uv), np.int64)
     panel_of_row[mesh.corners] = mesh.panel_id[:, None]
-    shifts = np.array([laid.shift for laid in plan.panels]).reshape(-1, 2)
-    texture = (mesh.uv + shifts[panel_of_row]) / [plan.width, plan.height]
+    texture = (mesh.uv + drawn.shifts[panel_of_row]) / drawn.size
     rows = np.argsort(mesh.uv_vertex, kind="stable")
     number = np.empty_like(rows)
     number[rows] = np.arange(len(rows))
@@ -184,22 +195,6 @@ def _meshes(key: str, mesh: BoxMesh, drape: Drape, plan: LayPlan) -> dict[str, b
     if not np.array_equal(weld(positions["sim"])[1], mesh.uv_vertex[rows]):
         raise ShardError(f"sample {key}: two vertices of its drape coincide, or one has no face: leave it out")
     return {kind: write_ply(Ply(vertices, texture[rows], faces)) for kind, vertices in positions.items()}
-
-
-def _texture(plan: LayPlan) -> bytes:
-    """PNG of the laid-out panels, filled and outlined on a transparent background."""
-    scale = min(TEXTURE, LARGEST_TEXTURE / max(plan.width, plan.height))
-    height = scale * plan.height
-    image = Image.new("RGBA", (round(scale * plan.width), round(height)))
-    canvas = ImageDraw.Draw(image)
-    for laid in plan.panels:
-        x, y = (scale * (laid.outline + laid.shift)).T
-        corners = list(zip(x.tolist(), (height - y).tolist(), strict=True))
-        width = max(round(scale * OUTLINE), 1)
-        canvas.polygon(corners, fill=(*cloth_colour(laid.number), CLOTH_OPACITY), outline=(*INK, 255), width=width)
-    file = io.BytesIO()
-    image.save(file, "PNG")
-    return file.getvalue()
 
 
 def _segments(mesh: BoxMesh) -> list[str]:
@@ -218,10 +213,7 @@ def _segments(mesh: BoxMesh) -> list[str]:
 
 def _rest_lengths(mesh: BoxMesh) -> dict[tuple[int, int], float]:
     """Flat length [cm] of every edge of the triangles at seams; for an edge on a seam, the shorter of both sides."""
-    on_seam = np.zeros(len(mesh.vertices), bool)
-    on_seam[mesh.seams[:, 0]] = True
-    touching = on_seam[mesh.faces].any(axis=1)
-    faces, corners = mesh.faces[touching], mesh.corners[touching]
+    faces, corners = _seam_faces(mesh)
     lengths: dict[tuple[int, int], float] = {}
     for face, corner in zip(faces.tolist(), corners.tolist(), strict=True):
         for i, j in ((0, 1), (1, 2), (0, 2)):
@@ -229,6 +221,14 @@ def _rest_lengths(mesh: BoxMesh) -> dict[tuple[int, int], float]:
             flat = float(np.hypot(*(mesh.uv[corner[i]] - mesh.uv[corner[j]])))
             lengths[edge] = min(flat, lengths.get(edge, flat))
     return lengths
+
+
+def _seam_faces(mesh: BoxMesh) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, "n 3"]]:
+    """Faces with a vertex on a seam, and their corners."""
+    on_seam = np.zeros(len(mesh.vertices), bool)
+    on_seam[mesh.seams[:, 0]] = True
+    touching = on_seam[mesh.faces].any(axis=1)
+    return mesh.faces[touching], mesh.corners[touching]
 
 
 def _render(picture: bytes | None) -> bytes:

@@ -365,13 +365,15 @@ def check_garment(item: Mapping[str, Any], facts: Mapping[str, Any]) -> None:
 
 def test_files_of_the_reference_system_survive_a_round_trip(examples: Path, tmp_path: Path) -> None:
     """Exporting a garment of the reference system reproduces its files."""
+    from gcd_dataset.exports.published import _drawing
+
     root = examples / "published" / "GarmentCodeData_v2_unpacked"
     published = PublishedGarmentCodeData(root, "all", cache_dir=tmp_path)
     for position, place in enumerate(published.names):
         batch, body, name = place.split("/")
         sample = published.sample(position)
         wearer = None if body == BODIES[0] else sample.provenance.body_name
-        ours = garment_files(sample, name, sample.design, body_sample=wearer)
+        ours = garment_files(sample, name, sample.design, _drawing(sample), body_sample=wearer)
         theirs = {path.name: path.read_bytes() for path in (root / batch / body / "data" / name).iterdir()}
         assert ours.keys() == theirs.keys()
         for kind in ("segmentation", "vertex_labels", "design"):
