@@ -68,18 +68,4 @@ __all__ = [
 
 __version__ = "0.1.0"
 
-_NAMES_OF_MODULE = {
-    "exports.datasets": ("export",),
-    "hub.publish": ("publish",),
-    "making.conversion": ("convert",),
-    "making.garments": ("generate", "generate_people", "generate_recipe"),
-    "making.progress": ("Progress", "ProgressCallback"),
-    "making.run": ("index",),
-    "making.tasks": ("Job",),
-    "shards.codec": ("decode",),
-}
-_OTHERS = {"__version__", *(name for names in _NAMES_OF_MODULE.values() for name in names)}
-
-__getattr__, __dir__ = lazy_names(
-    __name__, {"records": [name for name in __all__ if name not in _OTHERS], **_NAMES_OF_MODULE}
-)
+__getattr__, __dir__ = lazy_names(__name__)

@@ -2,6 +2,7 @@
 
 import codecs
 import logging
+import math
 import re
 import reprlib
 from collections.abc import Mapping
@@ -17,7 +18,7 @@ from jaxtyping import UInt8
 from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.files import read_whole, write_whole
 from gcd_dataset.jsonfile import read_json, whole
-from gcd_dataset.measurements import ANGLES, MEASURE, Measure
+from gcd_dataset.measurements import ANGLES, MEASURE
 from gcd_dataset.records import BodyPart, Measurements
 from gcd_dataset.yamlfile import read_yaml
 
@@ -75,9 +76,11 @@ def parse_measurements(table: Mapping[str, Any], path: str) -> Measurements:
     if not isinstance(values, dict):
         raise BodyError(f"{path}: no map named body: a measurement file begins with 'body:' and one 'key: cm' a line")
     for key, known in MEASURE.items():
-        if key in values and not _is_measure(known, values[key]):
+        value = values.get(key, math.nan)
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if key in values and not (is_number and known.holds(value)):
             wanted = "a number of degrees" if known.unit == "degrees" else "a positive number of centimetres"
-            raise BodyError(f"{path}: body.{key} is {_found(values[key])}: give {wanted}")
+            raise BodyError(f"{path}: body.{key} is {_found(value)}: give {wanted}")
     missing = [key for key, known in MEASURE.items() if key not in values and not known.optional]
     if missing:
         raise BodyError(f"{path}: body lacks {', '.join(missing)}: add {'it' if len(missing) == 1 else 'them'}")
@@ -164,10 +167,6 @@ def _derived(size: Measurements) -> dict[str, float]:
         "_waist_level": size.waist_level,
     }
     return {key: float(value) for key, value in derived.items() if not np.isnan(value)}
-
-
-def _is_measure(known: Measure, value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and known.holds(value)
 
 
 def _found(value: Any) -> str:

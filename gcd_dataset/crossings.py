@@ -72,7 +72,10 @@ def _narrow_phase(
     meeting = pairs[shapely.intersects(table[pairs[:, 0]], table[pairs[:, 1]])]
     for i, j in meeting.tolist():
         points = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
-        far = points[_distance_to(points, _shared_corners(panel, i, j)) > TOUCH]
+        one, other = panel.edges[i], panel.edges[j]
+        corners = panel.vertices[sorted({one.start, one.end} & {other.start, other.end})]
+        nearest = np.linalg.norm(points[:, None] - corners[None], axis=2).min(axis=1, initial=np.inf)
+        far = points[nearest > TOUCH]
         if len(far):
             yield Crossing(i, j, (float(far[0, 0]), float(far[0, 1])))
 
@@ -163,18 +166,13 @@ def _sweep(hulls: Complex[np.ndarray, "e 4"]) -> Int[np.ndarray, "2 n"]:
     axis = int(ahead[1].sum() < ahead[0].sum())
     order, counts = orders[axis], ahead[axis]
     found = []
-    for rows in np.split(np.arange(len(hulls)), _cuts(counts)):
+    for rows in np.split(np.arange(len(hulls)), np.flatnonzero(np.diff(np.cumsum(counts) // AT_ONCE)) + 1):
         row = np.repeat(rows, counts[rows])
         step = np.arange(len(row)) - np.repeat(np.cumsum(counts[rows]) - counts[rows], counts[rows])
         one, other = order[row], order[row + 1 + step]
         found.append(np.sort(_touching(hulls, np.stack([one, other])), axis=0))
     pairs = np.concatenate(found, axis=1)
     return pairs[:, np.lexsort(pairs[::-1])]
-
-
-def _cuts(counts: Int[np.ndarray, " e"]) -> Int[np.ndarray, " c"]:
-    """Positions that cut a sweep into pieces of about ``AT_ONCE`` pairs."""
-    return np.flatnonzero(np.diff(np.cumsum(counts) // AT_ONCE)) + 1
 
 
 def _monotone(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
@@ -223,15 +221,3 @@ def _polyline(panel: Panel, index: int, lengths: Sequence[float]) -> shapely.Lin
     points = curve_points(*ends, curve, np.linspace(0.0, 1.0, max(9, int(np.ceil(lengths[index] / SAMPLING)) + 1)))
     points[0], points[-1] = ends
     return shapely.LineString(points)
-
-
-def _shared_corners(panel: Panel, i: int, j: int) -> Float[np.ndarray, "n 2"]:
-    one, other = panel.edges[i], panel.edges[j]
-    return panel.vertices[sorted({one.start, one.end} & {other.start, other.end})]
-
-
-def _distance_to(points: Float[np.ndarray, "n 2"], corners: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, " n"]:
-    """Distance of each point to the nearest corner [cm]; infinite without corners."""
-    if not len(corners):
-        return np.full(len(points), np.inf)
-    return np.linalg.norm(points[:, None] - corners[None], axis=2).min(axis=1)

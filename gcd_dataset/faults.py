@@ -141,10 +141,15 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
             del drawn[number]
     edge_lengths = {number: pattern.panels[number].edge_lengths() for number in drawn}
     for number, edges in edge_lengths.items():
-        faults[number] += _short_edges(pattern.panels[number], edges)
+        name = pattern.panels[number].name
+        faults[number] += [
+            Fault(Rule.SHORT_EDGE, name, index, f"it is {length:.3g} cm: join it to its neighbour")
+            for index, length in enumerate(edges)
+            if length < SHORTEST_EDGE
+        ]
         if (outline := sum(edges)) > LONGEST_OUTLINE:
             figure = f"its outline is {outline / 100:.0f} m long: check units_in_meter, and the curvature of its edges"
-            faults[number].append(Fault(Rule.TOO_LARGE, pattern.panels[number].name, None, figure))
+            faults[number].append(Fault(Rule.TOO_LARGE, name, None, figure))
             del drawn[number]
     crossings = list(_crossings(pattern.panels, drawn, edge_lengths))
     simple = {number: drawn[number] for number in drawn.keys() - dict(crossings).keys()}  # others have no area
@@ -290,12 +295,6 @@ def _probable_unit(size: float, units: float, scale: float | None) -> str:
     return f"check properties.units_in_meter, which is {units:g}"
 
 
-def _short_edges(panel: Panel, lengths: list[float]) -> Iterator[Fault]:
-    for index, length in enumerate(lengths):
-        if length < SHORTEST_EDGE:
-            yield Fault(Rule.SHORT_EDGE, panel.name, index, f"it is {length:.3g} cm: join it to its neighbour")
-
-
 def _small_panels(
     panels: Sequence[Panel], hulls: Mapping[int, Complex[np.ndarray, "e 4"]]
 ) -> Iterator[tuple[int, Fault]]:
@@ -365,7 +364,9 @@ def _narrow_darts(pattern: Pattern, lengths: Collection[EdgeRef]) -> Iterator[Fa
             continue
         first = seam.left.edge if steps[0] == 1 else seam.right.edge
         last = first + 1
-        while last - first < count - 2 and _pair(panel, first - 1, last + 1) in sewn:
+        while last - first < count - 2:
+            if {EdgeRef(panel.name, edge % count) for edge in (first - 1, last + 1)} not in sewn:
+                break
             first, last = first - 1, last + 1
         start, end = panel.edges[first % count].start, panel.edges[last % count].end
         width = dist(*panel.vertices[[start, end]].tolist())
@@ -374,10 +375,6 @@ def _narrow_darts(pattern: Pattern, lengths: Collection[EdgeRef]) -> Iterator[Fa
                 f"with edge {last % count} it is {width:.3g} cm wide: leave it out, and take its width in at a seam"
             )
             yield Fault(Rule.NARROW_DART, panel.name, first % count, figure)
-
-
-def _pair(panel: Panel, *edges: int) -> frozenset[EdgeRef]:
-    return frozenset(EdgeRef(panel.name, edge % len(panel.edges)) for edge in edges)
 
 
 def _no_such_edge(number: int, side: EdgeRef, edges_of: dict[str, int]) -> Fault:
@@ -416,7 +413,8 @@ def _crosswise(
 
     ``corners``: panel name to the panel's vertices in space [cm].
     """
-    (a, b), (c, d) = (_ends(panels[side.panel], side.edge, corners[side.panel]) for side in (seam.left, seam.right))
+    edges = [(corners[side.panel], panels[side.panel].edges[side.edge]) for side in (seam.left, seam.right)]
+    (a, b), (c, d) = ((points[edge.start], points[edge.end]) for points, edge in edges)
     if not seam.right_wrong:
         c, d = d, c
     joined, other = dist(a, c) + dist(b, d), dist(a, d) + dist(b, c)
@@ -431,7 +429,3 @@ def _crosswise(
         f"as the panels hang, and {other / 2:.1f} cm the other way: draw one loop the other way round"
     )
     yield Fault(Rule.SEWN_CROSSWISE, left.name, seam.left.edge, figure)
-
-
-def _ends(panel: Panel, edge: int, corners: list[list[float]]) -> tuple[list[float], list[float]]:
-    return corners[panel.edges[edge].start], corners[panel.edges[edge].end]

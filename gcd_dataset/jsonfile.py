@@ -49,7 +49,8 @@ def parse_json(
     except UnicodeError as cause:
         raise error(f"{source}: not UTF-8 ({cause.reason}): {remedy}") from cause  # type: ignore[attr-defined]
     except ValueError as cause:
-        raise error(f"{source}: {_first_sentence(cause)}: {remedy}") from cause
+        # Without Python's advice on ``sys.set_int_max_str_digits``.
+        raise error(f"{source}: {str(cause).partition(';')[0]}: {remedy}") from cause
     return value
 
 
@@ -155,7 +156,8 @@ def is_flat(value: Any, *, most: int | None = None) -> bool:
     """Whether a tree has at most 64 levels, and on each level fewer than ``most`` values, aliases counted each time."""
     level = [value]
     for _ in range(DEEPEST):
-        inner = (holder.values() if isinstance(holder, Mapping) else holder for holder in level if _holds(holder))
+        holders = (value for value in level if isinstance(value, Mapping | list | tuple))
+        inner = (holder.values() if isinstance(holder, Mapping) else holder for holder in holders)
         level = list(islice(chain.from_iterable(inner), most))
         if len(level) == most:
             return False
@@ -205,15 +207,6 @@ def _surely_flat(content: bytes) -> bool:
             break
         brackets = brackets.replace(b"[]", b"").replace(b"{}", b"")
     return not brackets
-
-
-def _first_sentence(error: ValueError) -> str:
-    """Python's message without its advice on ``sys.set_int_max_str_digits``."""
-    return str(error).partition(";")[0]
-
-
-def _holds(value: Any) -> bool:
-    return isinstance(value, Mapping | list | tuple)
 
 
 def _is_number(value: Any) -> bool:

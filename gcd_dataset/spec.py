@@ -89,7 +89,8 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
         key: _panel(key, at.mapping(entry, f"panel {shown(key)}"), form, at.within(f"panel {shown(key)}"))
         for key, entry in at.mapping(body.get("panels"), "pattern.panels").items()
     }
-    seams = tuple(_seam(entry, at.within(f"stitch {i}")) for i, entry in enumerate(_stitches(body, at)))
+    stitches = at.list_of(body, "stitches") if body.get("stitches") is not None else []
+    seams = tuple(_seam(entry, at.within(f"stitch {i}")) for i, entry in enumerate(stitches))
     if not form.loops_normalised:
         panels, seams = _normalise_loops(panels, seams)
     order = _given_order(body, panels, at) if body.get("panel_order") is not None else panel_order(panels.values())
@@ -247,10 +248,6 @@ def _relative(curve: Curve, start: np.ndarray, end: np.ndarray, scale: float, at
                 return curve
     except PatternError as error:
         raise at.error(str(error)) from error
-
-
-def _stitches(body: Mapping[str, Any], at: JsonPath) -> Sequence[Any]:
-    return at.list_of(body, "stitches") if body.get("stitches") is not None else []
 
 
 def _seam(entry: Any, at: JsonPath) -> Seam:

@@ -187,7 +187,7 @@ def encode_pattern(pattern: Pattern) -> PatternTensor:
     return PatternTensor(
         panels=panels,
         edges=np.concatenate([np.zeros((0, len(EdgeColumn))), *loops]),
-        stitches=_stitch_rows(pattern),
+        stitches=seam_rows(pattern),
         panel_names=tuple(panel.name for panel in pattern.panels),
         panel_labels=panel_labels,
         edge_labels=edge_labels,
@@ -237,11 +237,7 @@ def _area_centroids(panels: Sequence[Panel]) -> list[Float[np.ndarray, "2"]]:
 def _straight_first(panel: Panel) -> list[tuple[Point, Point, Curve]]:
     """Start, end and curve of each edge, straight ones first."""
     edges = [(*panel.edge_ends(index), edge.curve) for index, edge in enumerate(panel.edges)]
-    return sorted(edges, key=_is_curved)
-
-
-def _is_curved(edge: tuple[Point, Point, Curve]) -> bool:
-    return edge[2] != LINE
+    return sorted(edges, key=lambda edge: edge[2] != LINE)
 
 
 def _at_nodes(edges: Sequence[tuple[Point, Point, Curve]]) -> tuple[np.ndarray, np.ndarray]:
@@ -305,7 +301,8 @@ def _edge_rows(row: int, panel: Panel, centroid: np.ndarray, labels: tuple[str, 
     return rows
 
 
-def _stitch_rows(pattern: Pattern) -> Int[np.ndarray, "s 3"]:
+def seam_rows(pattern: Pattern) -> Int[np.ndarray, "s 3"]:
+    """The stitches of a pattern, in the columns of ``StitchColumn``. Raises ``PatternError`` for a missing edge."""
     refs = [EdgeRef(panel.name, i) for panel in pattern.panels for i in range(len(panel.edges))]
     row_of = {ref: row for row, ref in enumerate(refs)}
     for number, seam in enumerate(pattern.seams):
@@ -366,15 +363,16 @@ def _panel(tensor: PatternTensor, row: int, loop: Float[np.ndarray, "n 13"]) -> 
     vertices = np.zeros((max(corner, default=-1) + 1, 2))
     vertices[corner] = loop[:, START] + numbers[CENTROID]
     edges = tuple(
-        Edge(start, end, _curve(entry, vertices[start], vertices[end], numbers[CENTROID]), _label(tensor, entry))
+        Edge(
+            start,
+            end,
+            _curve(entry, vertices[start], vertices[end], numbers[CENTROID]),
+            role_of(EdgeRole, tensor.edge_labels[int(entry[EdgeColumn.LABEL])]),
+        )
         for entry, start, end in zip(loop, corner, corner[1:] + corner[:1], strict=True)
     )
     label = role_of(PanelRole, tensor.panel_labels[int(numbers[PanelColumn.LABEL])])
     return Panel(tensor.panel_names[row], vertices, edges, placement, label)
-
-
-def _label(tensor: PatternTensor, entry: Float[np.ndarray, "13"]) -> EdgeRole | str:
-    return role_of(EdgeRole, tensor.edge_labels[int(entry[EdgeColumn.LABEL])])
 
 
 def _curve(entry: Float[np.ndarray, "13"], start: np.ndarray, end: np.ndarray, centroid: np.ndarray) -> Curve:

@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -21,7 +20,6 @@ from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from gcd_dataset.errors import GcdError
-from gcd_dataset.waits import WaitClock, record_wait
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -45,15 +43,21 @@ def parallel_map(work: Callable[[Task], Result], tasks: Iterable[Task], workers:
         yield from map(work, tasks)
         return
     waiting = iter(tasks)
+    in_flight = deque[Future[Result]]()
     with _process_pool(workers) as pool:
 
-        def submit(count: int) -> Iterator[Future[Result]]:
-            return (_submit(pool, work, task) for task in islice(waiting, count))
+        def submit(count: int) -> None:
+            for task in islice(waiting, count):
+                with _starting():  # the pool starts its processes here
+                    in_flight.append(pool.submit(work, task))
 
-        in_flight = deque(submit(AHEAD * workers))
-        while in_flight:
-            yield _result(in_flight.popleft())
-            in_flight.extend(submit(1))
+        try:
+            submit(AHEAD * workers)
+            while in_flight:
+                yield in_flight.popleft().result()
+                submit(1)
+        except BrokenProcessPool as error:
+            raise GcdError(f"{KILLED}; or {UNSTARTED}") from error
 
 
 def parallel_map_chunks(
@@ -152,22 +156,6 @@ def _receive(connection: Connection, process: BaseProcess) -> Iterator[Any]:
         yield result
 
 
-def _submit(pool: ProcessPoolExecutor, work: Callable[[Task], Result], task: Task) -> Future[Result]:
-    """The future of a task. Raises ``GcdError`` if a process of the pool has died."""
-    try:
-        with _starting():  # the pool starts its processes here
-            return pool.submit(work, task)
-    except BrokenProcessPool as error:
-        raise GcdError(f"{KILLED}; or {UNSTARTED}") from error
-
-
-def _result(task: Future[Result]) -> Result:
-    try:
-        return task.result()
-    except BrokenProcessPool as error:
-        raise GcdError(f"{KILLED}; or {UNSTARTED}") from error
-
-
 def _spawn_context() -> SpawnContext:
     """The start method of workers: spawn, since a forked process lacks the threads of Warp and torch."""
     for library in ("OMP", "OPENBLAS", "MKL"):
@@ -207,14 +195,11 @@ def prefetch(
     *,
     begin: Callable[[], None] | None = None,
     wait: bool = False,
-    name: str | None = None,
 ) -> Generator[Item]:
     """The same items, up to ``count`` of them made ahead by a daemon thread.
 
     ``begin`` is called first, in the thread. When the generator is closed, or the interpreter exits, the thread ends
-    after the item it is making; ``wait`` joins it. An error of ``items`` is raised after the items before it. With
-    ``name``, the time that the thread is blocked by a full buffer is recorded under that name
-    (``gcd_dataset.waits``).
+    after the item it is making; ``wait`` joins it. An error of ``items`` is raised after the items before it.
     """
     room = threading.Semaphore(count)
     ready = SimpleQueue[tuple[Item | None, BaseException | None]]()
@@ -224,11 +209,8 @@ def prefetch(
         try:
             if begin is not None:
                 begin()
-            clock = WaitClock()
-            while _acquire(room, clock) and not closed:
+            while room.acquire() and not closed:
                 ready.put((next(items), None))
-                if name is not None:
-                    record_wait(name, clock.lap())
         except BaseException as error:  # noqa: BLE001 - raised in the consumer
             ready.put((None, error))
 
@@ -258,11 +240,3 @@ def prefetch(
         error = None  # break a cycle: its traceback refers to this frame and to the frames of all callers
         unregister(close)
         close()
-
-
-def _acquire(room: threading.Semaphore, clock: WaitClock) -> bool:
-    """Acquire ``room``, counting the wait as idle; always true."""
-    begin = time.perf_counter()
-    room.acquire()
-    clock.add_idle(time.perf_counter() - begin)
-    return True

@@ -45,16 +45,4 @@ __all__ = [
     "sample_design",
 ]
 
-_NAMES_OF_MODULE = {
-    "body": ("build_body", "draw_shape", "fit_shape", "measure", "named_body"),
-    "drape": ("DrapeConfig", "DrapeJob", "Fabric", "drape_all", "drape_batch", "fabric_named"),
-    "garments": ("GarmentDesign", "read_design", "sample_design"),
-    "garments.overlay": ("Overlay", "read_overlay"),
-    "mesh": ("build_box_mesh", "coarse_start"),
-    "body.by_name": ("make_person",),
-    "pipeline": ("build_pattern", "fit"),
-    "maker": ("make", "produce"),
-    "recipe": ("MakeConfig",),
-}
-
-__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)
+__getattr__, __dir__ = lazy_names(__name__)

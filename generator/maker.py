@@ -28,7 +28,6 @@ from gcd_dataset.generator.pipeline import (
 )
 from gcd_dataset.generator.recipe import MakeConfig, devices_of
 from gcd_dataset.records import Rejected, Sample
-from gcd_dataset.waits import MAKERS
 from gcd_dataset.workers import prefetch, streams
 
 DEFAULT = MakeConfig()
@@ -238,7 +237,7 @@ class _WorkerShare:
                 draper = opened.enter_context(LocalDraper("cpu", at_once=1))
             options = {"draper": draper, "ahead": ahead, "finished": self.finished, "pictured": self.pictured}
             results = produce(self.seed, self.indices, self.config, **options)  # type: ignore[call-overload]
-            yield from prefetch(results, READY, name=MAKERS)
+            yield from prefetch(results, READY)
 
 
 def _by_workers(

@@ -88,18 +88,4 @@ __all__ = [
     "to_pyg",
 ]
 
-_NAMES_OF_MODULE = {
-    "body_datasets": ("Bodies", "BodyDataset", "PublishedBodies"),
-    "fake": ("FakeGarments",),
-    "fresh": ("FreshGarments",),
-    "generated": ("GeneratedGarments",),
-    "graph": ("SeamGraph", "mesh_edges", "seam_graph", "to_pyg"),
-    "hdf5": ("Hdf5Garments",),
-    "mixed": ("MixedDataset",),
-    "published": ("PublishedGarmentCodeData",),
-    "scenes": ("VIEW_FIELDS", "Scan", "Sketch"),
-    "transforms": ("Augment", "Augmented", "Chain", "PartialView", "PickCaption", "PointNoise", "Yaw"),
-    "views": ("Views",),
-}
-
-__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)
+__getattr__, __dir__ = lazy_names(__name__)

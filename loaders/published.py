@@ -58,7 +58,7 @@ class PublishedGarmentCodeData(Garments):
     ``split``: ``train``, ``validation`` or ``test`` of the official split, or ``all`` garments on disk.
     ``bodies``: ``default``, ``random``, or ``both``: then a design's two garments are adjacent.
     ``fields``: the fields to read; other files are not opened.
-    ``cache_dir``: folder for the indices of archives, by default beside them.
+    ``cache_dir``: folder for unpacked archives, by default beside them.
 
     An archive of 5 GB is scanned once, in a minute or two; from then on a garment in it is found in about 50 ms. For
     long trainings, extract the archives or convert them with ``gcd convert``.

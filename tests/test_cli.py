@@ -8,7 +8,6 @@ import json
 import logging
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -18,24 +17,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 from PIL import Image
 
 from gcd_dataset.cli import main
 from gcd_dataset.cli.common import Stopped, interrupts_after_imports
 from gcd_dataset.files import write_whole
-from gcd_dataset.generator import fitting
-from gcd_dataset.generator.body import named_body, read_body, read_measurements
-from gcd_dataset.generator.drape import DrapeJob
-from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.body import named_body, read_measurements
+from gcd_dataset.generator.fitting import Fitting, write_fitting
 from gcd_dataset.generator.garments import draw_garment, read_design
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset
-from gcd_dataset.records import Drape, Outcome, Pattern
-from gcd_dataset.shards.notes import stored_samples
-from gcd_dataset.shards.writer import Draft
+from gcd_dataset.records import Outcome, Pattern
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from tests.helpers import napkins
 from tests.shards.folders import contents
@@ -48,7 +42,7 @@ SKIRT = MakeConfig(
         {"meta": {"upper": "none", "wb": "none", "bottom": "SkirtCircle"}, "flare-skirt": {"rise": 1.0, "length": 0.2}}
     ),
 )
-FLAT = ["--stage", "pattern", "--quiet"]
+FLAT = ["--stage", "pattern", "--workers", "0", "--quiet"]
 
 
 @pytest.fixture
@@ -74,15 +68,6 @@ def exit_code(arguments: list[str]) -> int:
         return ended.code
 
 
-@pytest.mark.parametrize("stage", ["pattern", "body"])
-def test_more_than_any_disk_holds_is_refused_before_it_is_planned(
-    stage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["generate", str(tmp_path / "data"), "--count", str(10**12), "--stage", stage]) == 2
-    assert "count is 1000000000000: give 1 to 10000000" in one_line(capsys.readouterr().err)
-    assert not (tmp_path / "data").exists()
-
-
 def test_generate_makes_a_data_set_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "data"
     assert main(["generate", str(out), "--count", "2", "--seed", "3", *FLAT]) == 0
@@ -95,7 +80,7 @@ def test_generate_makes_a_data_set_and_goes_on(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_captions_are_written_on_request_and_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    flat = ["generate", str(tmp_path / "data"), "--stage", "pattern", "--count", "3", "--seed", "8"]
+    flat = ["generate", str(tmp_path / "data"), "--count", "3", "--seed", "8", *FLAT]
     assert main([*flat, "--captions"]) == 0
     assert main(["info", str(tmp_path / "data")]) == 0
     caption = GarmentDataset(tmp_path / "data", fields=["caption"])[0]["caption"]
@@ -104,31 +89,6 @@ def test_captions_are_written_on_request_and_printed(tmp_path: Path, capsys: pyt
     assert caption in capsys.readouterr().out
     assert main(flat) == 2
     assert "made with captions=True, asked for captions=None" in capsys.readouterr().err
-
-
-def test_a_signal_keeps_finished_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """``timeout`` sends SIGTERM to the process and to its group."""
-    command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path), "--count", "100000", *FLAT]
-    process = subprocess.Popen([*command, "--workers", "2"], stderr=subprocess.PIPE, text=True, start_new_session=True)
-    wait_for_samples(tmp_path, 3, process)
-    os.killpg(process.pid, signal.SIGTERM)
-    process.send_signal(signal.SIGTERM)
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 143, said
-    assert "the same command continues from there" in one_line(said)
-    wait_for_end_of(process.pid)
-    assert [path.name for path in tmp_path.iterdir()] == [path.name for path in drafts_in(tmp_path)]
-    there = samples_in_work(tmp_path)
-    assert there >= 3
-    add = Draft.add
-
-    def one_more(draft: Draft, *arguments: Any, **options: Any) -> None:
-        add(draft, *arguments, **options)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Draft, "add", one_more)
-    assert main([*command[3:], "--workers", "0"]) == 130
-    assert samples_in_work(tmp_path) == there + 1
 
 
 def test_a_second_sigterm_is_ignored_and_handlers_are_restored() -> None:
@@ -168,6 +128,18 @@ def test_a_full_disk_is_one_line(
     assert len(GarmentDataset(tmp_path)) == 3
 
 
+def test_options_may_come_from_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "set.toml"
+    config.write_text('bodies = "neutral"\nstage = "mesh"\nresolution = 5.0\npoints = 16\n')
+    out = tmp_path / "data"
+    assert main(["generate", str(out), "--count", "1", "--config", str(config), "--quiet"]) == 0
+    assert GarmentDataset(out)[0]["points"].shape == (16, 6)
+    config.write_text("bodes = 1\n")
+    capsys.readouterr()
+    assert main(["generate", str(out), "--count", "1", "--config", str(config)]) == 2
+    assert "no option is called bodes" in one_line(capsys.readouterr().err)
+
+
 def test_validate_prints_every_fault(spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     content = json.loads(spec.read_text())
     first = next(iter(content["pattern"]["panels"]))
@@ -196,48 +168,12 @@ def test_warnings_are_listed_under_their_file_and_fail_only_a_strict_check(
     assert "no fault found" in capsys.readouterr().out
 
 
-def wait_for_samples(folder: Path, count: int, process: subprocess.Popen[Any]) -> None:
-    """Wait until a run has stored ``count`` samples in its first shard."""
-    while samples_in_work(folder) < count:
-        assert process.poll() is None, "it has ended"
-        time.sleep(0.05)
-
-
-def samples_in_work(folder: Path) -> int:
-    """Whole samples in the draft of the first shard."""
-    return sum(1 for path in drafts_in(folder) for _ in stored_samples(path, damaged=True))
-
-
-def drafts_in(folder: Path) -> list[Path]:
-    return [*folder.glob(".train-00000-of-*.part")]
-
-
-def wait_for_end_of(session: int) -> None:
-    """Wait until no process of a session runs."""
-    deadline = time.monotonic() + 60
-    while of_session(session) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert of_session(session) == []
-
-
-def of_session(session: int) -> list[int]:
-    """Running processes of a session."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state, _, _, of = stat.read_text().rpartition(")")[2].split()[:4]
-        except OSError:
-            continue  # just ended
-        if int(of) == session and state != "Z":
-            found.append(int(stat.parent.name))
-    return found
-
-
 @dataclass(frozen=True)
 class Draped:
     """What one ``gcd drape`` of good and bad files leaves."""
 
     out: Path
+    fittings: list[Fitting]
     files: list[Path]
     errors: str
     log: str
@@ -282,19 +218,21 @@ def draped(tmp_path_factory: pytest.TempPathFactory) -> Draped:
     (folder / "empty.json").touch()
     files = [folder / "missing.json", spec, bare.parent, bare]
     files += [folder / f"{name}.json" for name in ("empty", "thin", "apart")]
-    options = ["--fabric", "denim", "--resolution", "8", "--device", "cpu", "--quiet", "--glb"]
-    log = io.StringIO()
+    options = ["--fabric", "denim", "--resolution", "5", "--device", "cpu", "--quiet", "--glb"]
+    log, fittings = io.StringIO(), list[Fitting]()
     handler = logging.StreamHandler(log)
     logging.getLogger("gcd_dataset").addHandler(handler)
-    with (
-        contextlib.redirect_stderr(io.StringIO()) as errors,
-        contextlib.redirect_stdout(io.StringIO()),
-        pytest.MonkeyPatch.context() as small,
-    ):
-        small.setattr(fitting, "PICTURE_SIZE", 200)
+
+    def kept(fitting: Fitting, *given: Any, **options: Any) -> None:
+        fittings.append(fitting)
+        write_fitting(fitting, *given, **options)
+
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stderr(io.StringIO()) as errors:
+        patch.setattr("gcd_dataset.generator.fitting.write_fitting", kept)
         assert main(["drape", *map(str, files), "--out", str(out), *options]) == 1
     logging.getLogger("gcd_dataset").removeHandler(handler)
-    return Draped(out, files, errors.getvalue(), log.getvalue(), json.loads((out / "report.json").read_text()))
+    report = json.loads((out / "report.json").read_text())
+    return Draped(out, fittings, files, errors.getvalue(), log.getvalue(), report)
 
 
 def test_drape_leaves_meshes_pictures_and_a_report(draped: Draped) -> None:
@@ -306,25 +244,12 @@ def test_drape_leaves_meshes_pictures_and_a_report(draped: Draped) -> None:
     assert np.asarray(Image.open(draped.out / "garment_front.png")).std() > 10
 
 
-def drapes_end(outcome: Outcome, monkeypatch: pytest.MonkeyPatch) -> None:
-    """End every drape where it starts, with this outcome, and draw small pictures."""
-
-    def ended(jobs: list[DrapeJob], **_: object) -> list[Drape]:
-        return [Drape(job.box_mesh.vertices, outcome, 1, 0, 0, 1.0, 1.0) for job in jobs]
-
-    monkeypatch.setattr("gcd_dataset.generator.drapers.local.drape_batch", ended)
-    monkeypatch.setattr(fitting, "PICTURE_SIZE", 200)
-
-
-def test_fit_draws_a_design_for_a_body_and_drapes_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fit_draws_a_design_for_a_body_and_drapes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Pattern, measures, meshes and pictures lie together; broken rules are named with their figures."""
-    drapes_end(Outcome.SETTLED, monkeypatch)
     file, out = tmp_path / "mini_design_params.yaml", tmp_path / "out"
     file.write_text("design:\n  meta: {bottom: {v: SkirtCircle}}\n  flare-skirt: {length: {v: 0.1}, suns: {v: 1.2}}\n")
     options = ["--body", "female:7", "--resolution", "8", "--device", "cpu", "--quiet"]
-    assert main(["fit", str(file), "--out", str(out), *options]) == 0
+    assert main(["fit", str(file), "--out", str(out), *options, "--allow-unsettled"]) == 0
     said = capsys.readouterr()
     assert "mini: SETTLED" in said.out
     assert "on this body, too_heavy: length 0.10 and 1.20 suns" in one_line(said.err)
@@ -339,60 +264,38 @@ def test_fit_draws_a_design_for_a_body_and_drapes_it(
 
 def test_fit_reads_the_mesh_of_a_body_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """For trousers too, whose bodies of the shape space stand with their legs apart."""
-    body, _, _ = named_body("male")
-    trimesh.Trimesh(body.vertices, body.faces, process=False).export(tmp_path / "scan.obj")
     (tmp_path / "shorts.yaml").write_text("meta: {bottom: Pants}\npants: {length: 0.2}\n")
     reads, worn = [], []
 
-    def counted(*given: Any, **options: Any) -> Any:
+    def read(*given: Any, **options: Any) -> Any:
         reads.append(given)
-        return read_body(*given, **options)
+        return named_body("male")[:2]
 
     def draped(patterns: Any, wearer: Any, **options: Any) -> Iterator[Any]:
         worn.extend([wearer(False), wearer(True)])
         return iter(())
 
-    monkeypatch.setattr("gcd_dataset.generator.body.by_name.read_body", counted)
+    monkeypatch.setattr("gcd_dataset.generator.body.by_name.read_body", read)
     monkeypatch.setattr("gcd_dataset.generator.fitting.drape_patterns", draped)
+    (tmp_path / "scan.obj").touch()
     words = ["fit", tmp_path / "shorts.yaml", "--body", tmp_path / "scan.obj", "--out", tmp_path / "out", "--quiet"]
     assert main(list(map(str, words))) == 0
     assert len(reads) == 1 and worn[0] == worn[1]
 
 
 def test_a_garment_that_slides_off_ends_with_1(
-    spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    draped: Draped, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The files are written too; with ``--allow-unsettled`` the exit code is 0."""
-    drapes_end(Outcome.SLID_OFF, monkeypatch)
-    options = ["drape", str(spec), "--out", str(tmp_path), "--resolution", "8", "--device", "cpu", "--quiet"]
+    settled = draped.fittings[0]
+    slid = replace(settled, drape=replace(settled.drape, outcome=Outcome.SLID_OFF))
+    monkeypatch.setattr("gcd_dataset.generator.fitting.drape_patterns", lambda *_, **__: iter([slid]))
+    options = ["drape", str(draped.files[1]), "--out", str(tmp_path), "--device", "cpu", "--quiet"]
     assert main(options) == 1
     assert "SLID_OFF" in capsys.readouterr().out
     [row] = json.loads((tmp_path / "report.json").read_text())["garments"]
-    assert (row["outcome"], row["body_through"]) == ("SLID_OFF", 0)
-    assert (tmp_path / "garment.obj").exists()
+    assert row["outcome"] == "SLID_OFF" and (tmp_path / "garment.obj").exists()
     assert main([*options, "--allow-unsettled"]) == 0
-
-
-def test_ctrl_c_between_time_steps_ends_a_drape(
-    spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    step = Solver.replay_frame
-
-    def signalled(solver: Solver, *between: Any) -> None:
-        step(solver, *between)
-        monkeypatch.setattr(Solver, "replay_frame", step)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    monkeypatch.setattr(Solver, "replay_frame", signalled)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a background process
-    try:
-        options = ["--out", str(tmp_path / "out"), "--resolution", "8", "--device", "cpu", "--quiet"]
-        assert main(["drape", str(spec), *options]) == 130
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert Solver.replay_frame is step
-    assert "gcd drape: stopped" in one_line(capsys.readouterr().err)
-    assert not list((tmp_path / "out").glob("*"))
 
 
 def test_ctrl_c_waits_for_the_end_of_an_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -434,7 +337,19 @@ def test_a_file_that_cannot_be_draped_costs_no_other(draped: Draped, tmp_path: P
     assert [row["outcome"] for row in json.loads((tmp_path / "report.json").read_text())["garments"]] == ["REFUSED"]
 
 
-def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path) -> None:
+def test_an_unusable_body_is_reported_before_any_drape(
+    spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ["--out", str(tmp_path / "out")]
+    body = tmp_path / "body.obj"
+    body.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert main(["drape", str(spec), *out, "--body", str(body)]) == 1
+    assert "body.obj" in one_line(capsys.readouterr().err)
+    assert main(["drape", str(spec), *out, "--height", "170"]) == 1
+    assert "neutral: a named body has known parts and height" in one_line(capsys.readouterr().err)
+
+
+def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["generate", str(tmp_path / "data"), "--count", "1", *FLAT]) == 0
     for what in (spec, tmp_path / "data"):
         picture = tmp_path / "picture.png"
@@ -443,26 +358,27 @@ def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path) -> None:
         page = tmp_path / "page.html"
         assert main(["show", str(what), "--html", str(page)]) == 0
         assert page.read_text("utf-8").count("data-panel=") >= 2
+    capsys.readouterr()
+    assert main(["show", str(tmp_path / "data"), "--index", "5", "--png", str(tmp_path / "x.png")]) == 1
+    assert "garment 5 of 1" in one_line(capsys.readouterr().err)
+    assert main(["show", str(spec), "--png", str(tmp_path / "picture.jpg")]) == 2
+    assert "end the name in .png" in one_line(capsys.readouterr().err)
 
 
-def test_options_and_a_narrower_design_may_come_from_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config, out = tmp_path / "trousers.toml", tmp_path / "out"
-    wrong = {
-        "bodes = 1\n": "no option is called bodes",
-        "[design.pants]\nlenght = 0.8\n": "design: no design parameter is called pants.lenght: did you mean",
-        "design = 3\n": "trousers.toml: design is 3: write tables such as [design.pants]",
-    }
-    for text, message in wrong.items():
-        config.write_text(text)
-        assert main(["generate", str(out), "--count", "2", "--config", str(config)]) == 2
-        assert message in one_line(capsys.readouterr().err)
+def test_a_config_narrows_designs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "trousers.toml"
     config.write_text(
-        'bodies = "neutral"\nstage = "mesh"\nresolution = 8.0\npoints = 16\n'
-        '[design.meta]\nupper = "none"\nbottom = "Pants"\n[design.pants]\nlength = 0.8\n'
+        'bodies = "neutral"\n[design.meta]\nupper = "none"\nbottom = "Pants"\n[design.pants]\nlength = 0.8\n'
     )
-    assert main(["generate", str(out), "--count", "2", "--config", str(config), "--quiet"]) == 0
-    dataset = GarmentDataset(out, fields=["design", "spec", "points"])
+    assert main(["generate", str(tmp_path / "out"), "--count", "2", "--config", str(config), *FLAT]) == 0
+    dataset = GarmentDataset(tmp_path / "out", fields=["design", "spec"])
     assert all(item["design"]["pants"]["length"] == 0.8 for item in dataset)
     assert all("pant_f_r" in item["spec"]["pattern"]["panels"] for item in dataset)
-    assert dataset[0]["points"].shape == (16, 6)
     assert dataset.recipe(0)["recipe"]["design"]["meta"]["bottom"] == {"options": ["Pants"]}
+    config.write_text("[design.pants]\nlenght = 0.8\n")
+    assert main(["generate", str(tmp_path / "out"), "--count", "2", "--config", str(config), *FLAT]) == 2
+    message = capsys.readouterr().err
+    assert "trousers.toml: design: no design parameter is called pants.lenght: did you mean pants.length?" in message
+    config.write_text("design = 3\n")
+    assert main(["generate", str(tmp_path / "out"), "--count", "2", "--config", str(config), *FLAT]) == 2
+    assert "trousers.toml: design is 3: write tables such as [design.pants]" in capsys.readouterr().err

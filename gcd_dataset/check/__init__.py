@@ -23,10 +23,4 @@ if TYPE_CHECKING:
 
 __all__ = ["Check", "Finding", "Harm", "Report", "SplitSummary", "examine"]
 
-_NAMES_OF_MODULE = {
-    "checks": ("Check", "Harm"),
-    "examination": ("examine",),
-    "report": ("Finding", "Report", "SplitSummary"),
-}
-
-__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)
+__getattr__, __dir__ = lazy_names(__name__)

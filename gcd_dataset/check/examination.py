@@ -52,7 +52,7 @@ def examine(
     examined in full. Of a set of bodies the files alone are examined. ``every_byte`` compares the hashes of all shards
     and members, and ``recipe``, a name or a file, the samples with that recipe: both of a folder of shards.
     ``endpoint``: server of the Hub. ``cache_dir``: folder for data from a server, by default ``~/.cache/gcd_dataset``,
-    and for the indices of published archives, by default beside them.
+    and for unpacked published archives, by default beside them.
 
     >>> from gcd_dataset.check import examine
     >>> [finding.check.name for finding in examine("shards").harmful]  # doctest: +SKIP
@@ -115,7 +115,8 @@ class _Examined:
 def _opened(source: str | Path, endpoint: str | None, cache_dir: str | Path | None) -> _Examined:
     path = user_path(source) if "://" not in str(source) else None
     if path is not None and path.suffix in HDF5 and path.is_file():
-        return _Examined(str(path), (_hdf5_split(path),))
+        split, known = Hdf5Garments(path, ("meta",)).split, Hdf5Garments(path).fields
+        return _Examined(str(path), (_Split(split, Hdf5Garments(path, _examined(known), dtype=None)),))
     if path is not None and path.is_dir() and is_published(path):
         return _published(path, cache_dir)
     return _shards(str(source), endpoint, cache_dir)
@@ -128,11 +129,6 @@ def _is_remote(source: str) -> bool:
         return not isinstance(parse_source(source), Folder)
     except ConfigError:  # ``_opened`` tells what is wrong
         return False
-
-
-def _hdf5_split(path: Path) -> _Split:
-    known = Hdf5Garments(path).fields
-    return _Split(Hdf5Garments(path, ("meta",)).split, Hdf5Garments(path, _examined(known), dtype=None))
 
 
 def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> _Examined:
@@ -306,7 +302,8 @@ class _Examination:
         count = len(census)
         for names, lacking, first in census.lacking():
             self.tally.add(checks.MISSING, split, self._split(split).key(first), [", ".join(names)], lacking)
-        absent = [name for name in FIELDS_READ if name not in self._fields(split)]
+        garments = self._split(split).garments
+        absent = [name for name in FIELDS_READ if garments is not None and name not in garments.fields]
         if count and absent and self.source.published is None:
             self.tally.add(checks.FEW_FIELDS, split, "", [", ".join(absent)], len(absent))
         for text in census.dominant():
@@ -340,10 +337,6 @@ class _Examination:
 
     def _split(self, name: str) -> _Split:
         return next(split for split in self.source.splits if split.name == name)
-
-    def _fields(self, name: str) -> Sequence[str]:
-        garments = self._split(name).garments
-        return () if garments is None else garments.fields
 
     def _key(self, split: str, row: int) -> str:
         return self._split(split).key(self.census.splits[split].position[row])

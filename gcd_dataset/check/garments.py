@@ -13,6 +13,7 @@ from gcd_dataset.check import checks
 from gcd_dataset.check.checks import Check
 from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import Rule, Severity, check_pattern
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Grade, Outcome, Pattern
 from gcd_dataset.tensors import CurveKind, EdgeColumn, PatternTensor, StitchColumn, decode_pattern
 
@@ -179,17 +180,14 @@ def _unit_faults(garment: CheckedGarment) -> Iterator[str]:
     placed = garment.placed
     if placed is not None:
         largest = LARGEST if garment.has("verts") else WIDEST
-        yield from _extent_faults("vertices", float(np.ptp(placed, axis=0).max()), largest)
+        extent = float(np.ptp(placed, axis=0).max())
+        if not SMALLEST < extent < largest:
+            yield f"vertices in {_likely_unit(extent / 80.0)}"
         if garment.has("uv", "corners", "faces") and not _same_unit(garment, placed):
             yield "uv and vertices have different units"
     height = (garment.measures or {}).get("height")
     if height is not None and not SHORTEST < height < TALLEST:
         yield f"measures in {_likely_unit(height / 170.0)}"
-
-
-def _extent_faults(name: str, extent: float, largest: float) -> Iterator[str]:
-    if not SMALLEST < extent < largest:
-        yield f"{name} in {_likely_unit(extent / 80.0)}"
 
 
 def _likely_unit(scale: float) -> str:
@@ -314,12 +312,8 @@ def loop_areas(edges: Float[np.ndarray, "e 13"], count: int) -> Float[np.ndarray
     middle = np.where(kind == CurveKind.QUADRATIC, (start + 2 * c0 + end) / 4, (start + end) / 2)
     middle = np.where(kind == CurveKind.CUBIC, (start + 3 * (c0 + c1) + end) / 8, middle)
     middle = np.where(kind == CurveKind.ARC, c0, middle)
-    twice = _cross(start, middle) + _cross(middle, end)
-    return 0.5 * np.bincount(panel, twice, count)
-
-
-def _cross(a: Float[np.ndarray, "e 2"], b: Float[np.ndarray, "e 2"]) -> Float[np.ndarray, " e"]:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    (dx, dy), (x, y) = (start - end).T, middle.T
+    return 0.5 * np.bincount(panel, dx * y - dy * x, count)
 
 
 def loop_outwardness(
@@ -375,11 +369,8 @@ def sewing_faults(
 
 def open_edges(faces: Int[np.ndarray, "f 3"], seams: Int[np.ndarray, "n 2"], stitches: int) -> Int[np.ndarray, " s"]:
     """Number of mesh edges of each seam that belong to one triangle only."""
-    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    count = int(faces.max()) + 1
-    codes, uses = np.unique(ends[:, 0] * count + ends[:, 1], return_counts=True)
-    border = codes[uses == 1]
-    first, second = border // count, border % count
+    edges = mesh_edges(faces)
+    first, second = edges.ends[edges.counts == 1].T
     # Vertex and seam as one sorted code: a border edge is on a seam if both of its ends are.
     rows = np.unique(seams[:, 0] * stitches + seams[:, 1])
     on = np.searchsorted(rows // stitches, [first, first + 1]) if len(rows) else np.zeros((2, len(first)), int)

@@ -135,14 +135,14 @@ def _kinds(garment: CheckedGarment) -> dict[str, str]:
     """Grade, outcome and garment types, as far as known."""
     meta, drape = garment.meta, garment.meta.get("drape")
     known = {"grade": meta.get("grade") or "", "outcome": drape["outcome"] if drape else ""}
-    kinds: Any = (garment.design or {}).get("meta")
-    if isinstance(kinds, Mapping):
-        known |= {name: str(_value(kinds[name])) for name in KINDS if name in kinds}
-    return {name: value for name, value in known.items() if value}
+    return {name: value for name, value in (known | kinds_of(garment.design)).items() if value}
 
 
-def _value(entry: Any) -> Any:
-    return entry.get("v") if isinstance(entry, Mapping) else entry
+def kinds_of(design: Mapping[str, Any] | None) -> dict[str, str]:
+    """The choices of garment types in a tree of design parameters, as far as known."""
+    chosen: Any = (design or {}).get("meta")
+    found = {name: chosen[name] for name in KINDS if isinstance(chosen, Mapping) and name in chosen}
+    return {name: str(kind.get("v") if isinstance(kind, Mapping) else kind) for name, kind in found.items()}
 
 
 # ---------------------------------------------------------------------------------------------------- repeated patterns

@@ -3,18 +3,17 @@
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from gcd_dataset.check.files import layout_of
+from gcd_dataset.check.sets import kinds_of
 from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.codec import decode_field, opened_picture
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
 from gcd_dataset.shards.layout import (
     GARMENTS,
-    Bytes,
     fields_of,
     is_picture,
     is_view_field,
@@ -54,7 +53,8 @@ def info_lines(store: Store) -> Iterator[str]:
         reader = ShardReader(store, split, layout=layout_of(record))
         yield from _split_lines(reader)
         yield from _recipe_lines(record)
-        yield from _reject_lines(store, record)
+        if record.rejects and isinstance(store, FolderStore) and (store.folder / REJECTS).exists():
+            yield f"    every rejected attempt, with its figures: {store.folder / REJECTS}"
         if isinstance(store, FolderStore):
             lost = lost or store.missing_pictures(split)
             members = [member for member in reader.layout.members if lost is None or not is_picture(member)]
@@ -88,12 +88,6 @@ def _recipe_lines(record: SplitRecord) -> Iterator[str]:
     if record.redraws:
         total, count = sum(record.redraws.values()), record.count
         yield from _bars(f"redraws by rule, {total / count:.2f} per sample", record.redraws)
-
-
-def _reject_lines(store: Store, record: SplitRecord) -> Iterator[str]:
-    """A line with the path of the reject log, if there is one."""
-    if record.rejects and isinstance(store, FolderStore) and (store.folder / REJECTS).exists():
-        yield f"    every rejected attempt, with its figures: {store.folder / REJECTS}"
 
 
 def _bytes_by_member(reader: ShardReader, members: Sequence[str]) -> dict[str, int]:
@@ -130,10 +124,8 @@ def _content_lines(reader: ShardReader, present: Sequence[str]) -> Iterator[str]
         counts["wearer"][str(meta["body"]).partition(":")[0] or "unnamed"] += 1
         panels.append(len(meta["panel_names"]))
         tags.update(meta["tags"])
-        kinds = _kinds(content)
-        for name in ("upper", "bottom"):
-            if name in kinds:
-                counts[name][str(_value(kinds[name]))] += 1
+        for name, kind in kinds_of(decode_field("design", content) if "design" in member_of else None).items():
+            counts[name][kind] += 1
     sampled = "" if len(chosen) == len(reader) else f", in {len(chosen)} samples"
     for name, counter in counts.items():
         if counter:
@@ -153,16 +145,6 @@ def _view_size(reader: ShardReader, member: str) -> str:
     """Size of the first garment's view."""
     with opened_picture(reader.read(0, [member])[member], ("JPEG",)) as picture:
         return f"{picture.width} x {picture.height} pixels"
-
-
-def _kinds(content: Mapping[str, Bytes]) -> Mapping[str, Any]:
-    """The design's choice of garment types; empty if the data set does not hold the design."""
-    kinds = decode_field("design", content).get("meta") if "design" in fields_of(content) else None
-    return kinds if isinstance(kinds, Mapping) else {}
-
-
-def _value(entry: Any) -> Any:
-    return entry.get("v") if isinstance(entry, Mapping) else entry
 
 
 def _bars(title: str, amounts: Mapping[str, int], *, of: int | None = None) -> Iterator[str]:

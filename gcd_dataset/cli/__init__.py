@@ -28,7 +28,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
         logging.getLogger("gcd_dataset").setLevel(logging.INFO)
-        options = _with_user_paths(_parse(arguments))
+        options = _parse(arguments)
+        # Shells do not expand ``--out=~/x``.
+        options = argparse.Namespace(**{name: _expanded(value) for name, value in vars(options).items()})
         name = f"gcd {options.verb}"
         return int(options.run(options))
     except KeyboardInterrupt as error:
@@ -65,12 +67,8 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     return parser, verbs.choices
 
 
-def _with_user_paths(options: argparse.Namespace) -> argparse.Namespace:
-    """The options with a leading ``~`` expanded in every path: shells do not expand ``--out=~/x``."""
-    return argparse.Namespace(**{name: _expanded(value) for name, value in vars(options).items()})
-
-
 def _expanded(value: Any) -> Any:
+    """The value of an option, with a leading ``~`` expanded in every path."""
     if isinstance(value, list):
         return [_expanded(entry) for entry in value]
     return type(value)(user_path(value)) if isinstance(value, str | Path) and str(value).startswith("~") else value

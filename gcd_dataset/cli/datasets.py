@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.common import (
     SOURCE_HELP,
+    Bar,
     add_quiet,
     add_server,
     add_verb,
@@ -98,7 +98,7 @@ def _add_check(verbs: Any) -> None:
         "--cache-dir",
         type=Path,
         metavar="DIR",
-        help="folder for data from a server, and for the indices of published archives",
+        help="folder for data from a server, and for unpacked published archives",
     )
     add_quiet(check)
     add_server(check)
@@ -133,9 +133,9 @@ def _check_set(options: argparse.Namespace) -> int:
     from gcd_dataset.check import Harm, examine
 
     [source] = options.what
-    with Bar("garment", options.quiet, verb="check", again="nothing was changed") as bar:
-        work = partial(examine, source, quick=options.quick, every_byte=options.bytes, recipe=options.recipe)
-        report = bar.run(partial(work, endpoint=options.endpoint, cache_dir=options.cache_dir))
+    bar = Bar("garment", options.quiet, verb="check", again="nothing was changed")
+    work = partial(examine, source, quick=options.quick, every_byte=options.bytes, recipe=options.recipe)
+    report = bar.run(partial(work, endpoint=options.endpoint, cache_dir=options.cache_dir))
     if options.errors:
         report = replace(report, findings=report.harmful)
     is_good = not report.harmful and not report.faults

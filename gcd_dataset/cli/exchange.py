@@ -7,9 +7,9 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.common import (
     SOURCE_HELP,
+    Bar,
     add_quiet,
     add_server,
     add_verb,
@@ -33,7 +33,7 @@ def add_verbs(verbs: Any) -> None:
     )
     convert.add_argument("--workers", type=natural_number, default=0, help="processes (default: this one)")
     convert.add_argument(
-        "--cache-dir", type=Path, metavar="DIR", help="folder for the indices of archives (default: beside them)"
+        "--cache-dir", type=Path, metavar="DIR", help="folder for unpacked archives (default: beside them)"
     )
     add_quiet(convert)
 
@@ -80,8 +80,7 @@ def _convert(options: argparse.Namespace) -> int:
     from gcd_dataset import convert
 
     work = partial(convert, options.published, options.out, bodies=options.bodies, workers=options.workers)
-    with Bar("garment", options.quiet, verb="convert") as bar:
-        done = bar.run(partial(work, cache_dir=options.cache_dir))
+    done = Bar("garment", options.quiet, verb="convert").run(partial(work, cache_dir=options.cache_dir))
     print(f"{options.out}: {done.count} garments, {done.made} of them converted now")
     for line in summary_lines(options.out):
         print(f"  {line}")
@@ -199,10 +198,9 @@ def _export_data_set(options: argparse.Namespace, form: str) -> int:
     out = options.hdf5 or options.plain or Path(options.layout[1])
     resumes = form == "layout"
     again = "the same command continues from there" if resumes else f"{out} was not written: run it again"
-    with Bar("garment", options.quiet, verb="export", again=again) as bar:
-        folder = require_folder(options.what)
-        exported: Any = "published" if form == "layout" else form
-        bar.run(partial(export, folder, out, exported, split=options.split))
+    bar, folder = Bar("garment", options.quiet, verb="export", again=again), require_folder(options.what)
+    exported: Any = "published" if form == "layout" else form
+    bar.run(partial(export, folder, out, exported, split=options.split))
     done = bar.progress
     layout = " in the published layout" if form == "layout" else ""
     print(f"{out}: {done.count} garments of {done.split}{layout}")

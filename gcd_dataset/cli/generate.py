@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli import datasets
-from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.common import (
+    Bar,
     Parser,
     add_quiet,
     add_verb,
@@ -64,9 +64,7 @@ def add_verbs(verbs: Any) -> None:
         help="for array jobs: make every N-th shard only, from shard I on, I from 0 to N-1; jobs may run at the same "
         "time, on any machines that share OUT, and the last one writes manifest and index (default: all shards)",
     )
-    generate.add_argument(
-        "--log", type=Path, metavar="FILE", help="append progress, rate, waits and memory as lines of JSON"
-    )
+    generate.add_argument("--log", type=Path, metavar="FILE", help="append progress, rate and memory as lines of JSON")
     generate.add_slow_options = partial(_add_make_options, generate)
     add_quiet(generate)
 
@@ -91,15 +89,17 @@ def _generate(options: argparse.Namespace) -> int:
         if options.count is None:
             raise ConfigError("how many? Give --count N, or --recipe NAME for a data set of that name")
         known = {option.name for option in options_of(MakeConfig)}
-        given = _read_config(options.config, known) if options.config else {}
+        given = read_options(options.config, known) if options.config else {}
+        if "design" in given:
+            given["design"] = _overlay(options.config, given["design"])
         given |= given_options(options, MakeConfig)
         if given.get("stage") == BODY_STAGE:
             work, unit = _people_work(options, given), "body"
         else:
             work = partial(generate, config=MakeConfig(**given), engine=options.engine)
         work = partial(work, options.out, options.count, seed=options.seed or 0)
-    with Bar(unit, options.quiet) as bar:
-        bar.run(partial(work, job=job, workers=options.workers, log=options.log))
+    bar = Bar(unit, options.quiet)
+    bar.run(partial(work, job=job, workers=options.workers, log=options.log))
     done, what = bar.progress, "bodies in two poses" if unit == "body" else "garments"
     of_job = "" if job is None else f"job {job}: "
     rejected = f", {done.rejects.total()} designs or drapes rejected" if unit == "garment" else ""
@@ -135,14 +135,6 @@ def _people_work(options: argparse.Namespace, given: Mapping[str, Any]) -> Calla
     if options.engine != "local":
         raise ConfigError(f"stage {BODY_STAGE} is made on this machine: leave --engine out")
     return partial(generate_people, bodies=given.get("bodies", "random"))
-
-
-def _read_config(path: Path, known: set[str]) -> dict[str, Any]:
-    """The options in a TOML file. Raises ``ConfigError`` with the line, or the unknown name."""
-    values = read_options(path, known)
-    if "design" in values:
-        values["design"] = _overlay(path, values["design"])
-    return values
 
 
 def _overlay(path: Path, values: Any) -> Any:

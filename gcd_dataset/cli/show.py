@@ -111,7 +111,9 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
     if published is not None:
         subject: Sample | Pattern = published.sample(position_of(options, len(published)))
     else:
-        subject = sample_of(options) if not names_a_file(options.what) else _only_pattern(options)
+        if names_a_file(options.what):
+            position_of(options, 1)
+        subject = pattern_of(options) if names_a_file(options.what) else sample_of(options)
     if options.png is not None:
         picture = sample_sheet(subject) if isinstance(subject, Sample) else draw_pattern(subject)
         write_whole(options.png, png_bytes(picture))
@@ -198,7 +200,6 @@ def _serve(options: argparse.Namespace) -> int:
 
 
 def _album(options: argparse.Namespace) -> "Album":
-    from gcd_dataset.hub.remote import Remote
     from gcd_dataset.shards.folder import is_set
     from gcd_dataset.viewer.garments import PublishedAlbum, ShardAlbum, spec_album
 
@@ -213,7 +214,7 @@ def _album(options: argparse.Namespace) -> "Album":
     is_no_set = "://" not in options.what and folder.is_dir() and not is_set(folder)
     if names_a_file(options.what) or (is_no_set and any(folder.glob("*.json"))):
         return spec_album(folder)
-    return ShardAlbum(reader_of(options.what, options), options.what, Remote().folder)
+    return ShardAlbum(reader_of(options.what, options), options.what)
 
 
 def _truth(options: argparse.Namespace) -> "Path | ShardReader":
@@ -239,12 +240,6 @@ def _published(options: argparse.Namespace) -> "PublishedGarmentCodeData | None"
     from gcd_dataset.loaders import PublishedGarmentCodeData
 
     return PublishedGarmentCodeData(folder, split=options.split)
-
-
-def _only_pattern(options: argparse.Namespace) -> "Pattern":
-    """The pattern of a specification file, which is garment 0. Raises ``ShardError`` for another ``--index``."""
-    position_of(options, 1)
-    return pattern_of(options)
 
 
 def _design(options: argparse.Namespace) -> "ShownDesign":

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.distance import cdist
 
-from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, control_points, sample_curve, to_frame
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, control_points, sample_curve, signed_area, to_frame
 from gcd_dataset.encodings.rows import (
     control_of,
     loop_corners,
@@ -130,8 +130,7 @@ def _runs_clockwise(panel: Panel) -> bool:
     if _in_line(loop):
         pieces = [sample_curve(*panel.edge_ends(i), edge.curve, SAMPLES)[:-1] for i, edge in enumerate(panel.edges)]
         loop = np.concatenate(pieces)
-    x, y = loop.T
-    return bool(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0)
+    return signed_area(loop) < 0
 
 
 def _in_line(points: Float[np.ndarray, "n d"]) -> bool:

@@ -15,30 +15,7 @@ from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Line, Point, Quadratic, 
 from gcd_dataset.errors import PatternError, shown
 from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import euler_angles
-from gcd_dataset.tensors import require_closed
-
-__all__ = [
-    "GAP",
-    "Scaling",
-    "arc_through",
-    "control_of",
-    "edge_places",
-    "edge_vectors",
-    "loop_corners",
-    "middle_of",
-    "pair_edges",
-    "panel_from_vectors",
-    "placement_rows",
-    "quadratic_through_middle",
-    "quaternion",
-    "require_finite",
-    "require_room",
-    "seam_ends",
-    "seam_tags",
-    "seams_of",
-    "spanning",
-    "top_of",
-]
+from gcd_dataset.tensors import require_closed, seam_rows
 
 GAP = 3.0  # cm in x and in y: a wider gap between the ends of an outline takes one more edge; pattern_converter.py
 LARGEST = 1e12  # larger numbers have no place in a specification file
@@ -194,15 +171,7 @@ def arc_through(start: Point, end: Point, middle: Point) -> Arc | Line:
 
 def seam_ends(pattern: Pattern) -> list[tuple[int, int]]:
     """The rows of the edges that each seam joins, edges counted over all panels. Raises ``PatternError``."""
-    row = {
-        ref: n
-        for n, ref in enumerate(EdgeRef(panel.name, i) for panel in pattern.panels for i in range(len(panel.edges)))
-    }
-    for number, seam in enumerate(pattern.seams):
-        for side in (seam.left, seam.right):
-            if side not in row:
-                raise PatternError(f"seam {number}: panel {side.panel} has no edge {side.edge}: correct the seam")
-    return [(row[seam.left], row[seam.right]) for seam in pattern.seams]
+    return [(left, right) for left, right, _ in seam_rows(pattern).tolist()]
 
 
 def seam_tags(pattern: Pattern) -> Float[np.ndarray, "s 3"]:

@@ -19,10 +19,4 @@ if TYPE_CHECKING:
 
 __all__ = ["dxf", "glb", "obj", "pdf", "ply", "usd"]
 
-_NAMES_OF_MODULE = {
-    "dxf_file": ("dxf",),
-    "meshes": ("glb", "obj", "ply", "usd"),
-    "pdf_file": ("pdf",),
-}
-
-__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)
+__getattr__, __dir__ = lazy_names(__name__)

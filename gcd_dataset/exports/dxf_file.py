@@ -66,14 +66,9 @@ def dxf(
 
     ``seam_allowance``: cloth beyond the sew line [cm]; ``created``: date of creation in the file. Raises
     ``ConfigError`` for a name that does not end in ``.dxf`` or an allowance out of range, ``PatternError`` for a
-    pattern that cannot be sewn, ``ExtraMissing`` without ezdxf, ``OutputError``.
+    pattern that cannot be sewn, ``ExtraMissing`` without ezdxf, ``OutputError``. Equal patterns give equal bytes.
     """
     path = require_suffix(path, ".dxf")
-    write_whole(path, dxf_bytes(garment, seam_allowance=seam_allowance, created=created))
-
-
-def dxf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, created: date | None = None) -> bytes:
-    """The content of the file that ``dxf`` writes; equal patterns give equal bytes."""
     drawing = optional("ezdxf.document").Drawing  # ``ezdxf.new`` warns of units, which R12 has not
     exporter = optional("ezdxf.addons.gerber_D6673")
     pattern = pattern_of(garment)
@@ -98,7 +93,7 @@ def dxf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, created
     _write_lines(space, style, np.array([0.0, -GAP * MM]), SYSTEM, DxfLayer.CUT)
     stream = io.StringIO()
     exporter.export_stream(document, stream)
-    return stream.getvalue().encode("ascii")
+    write_whole(path, stream.getvalue().encode("ascii"))
 
 
 # -------------------------------------------------------------------------------------------------------------- pieces

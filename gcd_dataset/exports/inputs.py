@@ -31,12 +31,9 @@ def require_suffix(path: Path | str, *suffixes: str) -> Path:
     """The path. Raises ``ConfigError`` unless it ends in one of the suffixes."""
     path = Path(path)
     if path.suffix.lower() not in suffixes:
-        raise ConfigError(f"{path}: the file is {_format_of(suffixes)}: end its name in {' or '.join(suffixes)}")
+        form = suffixes[0].removeprefix(".").upper()
+        raise ConfigError(f"{path}: the file is {form}: end its name in {' or '.join(suffixes)}")
     return path
-
-
-def _format_of(suffixes: tuple[str, ...]) -> str:
-    return suffixes[0].removeprefix(".").upper()
 
 
 def pattern_of(garment: Sample | Pattern) -> Pattern:

@@ -39,12 +39,6 @@ def texture_coordinates(mesh: BoxMesh, tile: float = TILE) -> Float[np.ndarray, 
     return mesh.uv * np.stack([side, np.ones(len(side))], axis=1) / tile
 
 
-def panel_colour(number: int) -> tuple[float, float, float]:
-    """Colour of panel ``number``, as in pictures, 0 … 1."""
-    red, green, blue = PALETTE[number % len(PALETTE)]
-    return red, green, blue
-
-
 def smooth_normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "v 3"]:
     """Unit normals of the vertices, weighted by the areas of the faces; continuous across seams."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
@@ -95,36 +89,9 @@ def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
     ``ShardError`` for a sample without a drape, ``ConfigError`` for a name that does not end in ``.glb``,
     ``OutputError``.
     """
-    path = require_suffix(path, ".glb")
-    write_whole(path, glb_bytes(garment, tile=tile, body=body))
-
-
-def obj(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
-    """Write the draped garment, on its body, as OBJ [cm], and the materials of the panels as MTL beside it.
-
-    The vertices of the garment come first, in the order of the sample's ``verts``: seams are sewn. Else as ``glb``.
-    """
-    path = require_suffix(path, ".obj")
-    materials = path.with_suffix(".mtl")
-    text, library = obj_text(garment, materials=materials.name, tile=tile, body=body)
-    with open_whole(materials) as mtl_file, open_whole(path) as obj_file:
-        mtl_file.write(library.encode())
-        obj_file.write(text.encode())
-
-
-def ply(garment: Draped, path: Path | str) -> None:
-    """Write the draped garment as binary PLY [cm], faces in the colours of their panels.
-
-    The vertices have the order of the sample's ``verts``. Raises errors as ``glb`` does.
-    """
-    path = require_suffix(path, ".ply")
-    write_whole(path, ply_bytes(garment))
-
-
-def glb_bytes(garment: Draped, *, tile: float = TILE, body: bool = True) -> bytes:
-    """The content of the file that ``glb`` writes."""
     import trimesh
 
+    path = require_suffix(path, ".glb")
     mesh, drape = draped_mesh(garment)
     uv, normals = texture_coordinates(mesh, tile), smooth_normals(drape.vertices, mesh.faces)
     scene = trimesh.Scene()
@@ -133,11 +100,12 @@ def glb_bytes(garment: Draped, *, tile: float = TILE, body: bool = True) -> byte
         if not len(rows):
             continue
         vertex = mesh.uv_vertex[rows]
+        material = _material(name, PALETTE[number % len(PALETTE)], two=True)
         panel = trimesh.Trimesh(
             METRE * drape.vertices[vertex],
             corners.reshape(-1, 3),
             vertex_normals=normals[vertex],
-            visual=trimesh.visual.TextureVisuals(uv=uv[rows], material=_material(name, panel_colour(number), two=True)),
+            visual=trimesh.visual.TextureVisuals(uv=uv[rows], material=material),
             metadata={PANEL: name},
             process=False,
         )
@@ -152,17 +120,22 @@ def glb_bytes(garment: Draped, *, tile: float = TILE, body: bool = True) -> byte
         "tile_cm": tile,
         "body": worn is not None,
     }
-    return scene.export(file_type="glb", include_normals=True)
+    write_whole(path, scene.export(file_type="glb", include_normals=True))
 
 
-def obj_text(garment: Draped, *, materials: str, tile: float = TILE, body: bool = True) -> tuple[str, str]:
-    """The contents of the OBJ file and of the MTL file called ``materials``."""
+def obj(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
+    """Write the draped garment, on its body, as OBJ [cm], and the materials of the panels as MTL beside it.
+
+    The vertices of the garment come first, in the order of the sample's ``verts``: seams are sewn. Else as ``glb``.
+    """
+    path = require_suffix(path, ".obj")
+    materials = path.with_suffix(".mtl")
     mesh, drape = draped_mesh(garment)
     uv, worn = texture_coordinates(mesh, tile), body_of(garment) if body else None
     names = _part_names(re.sub(r"[\s#\\]+", "_", panel) for panel in mesh.panel_names)
     lines = [
         f"# gcd_dataset {shown(key_of(garment))}: centimetres, y up; a texture covers {tile:g} cm",
-        f"mtllib {materials}",
+        f"mtllib {materials.name}",
         "o garment",
         *(f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in drape.vertices.tolist()),
         *(f"vt {u:.6g} {v:.6g}" for u, v in uv.tolist()),
@@ -172,7 +145,7 @@ def obj_text(garment: Draped, *, materials: str, tile: float = TILE, body: bool 
         lines += [f"g {name}", f"usemtl {name}"]
         pairs = np.stack([mesh.faces[of_panel] + 1, mesh.corners[of_panel] + 1], axis=2).reshape(-1, 6)
         lines += ["f {}/{} {}/{} {}/{}".format(*row) for row in pairs.tolist()]
-    colours = [(name, panel_colour(number)) for number, name in enumerate(names)]
+    colours = [(name, PALETTE[number % len(PALETTE)]) for number, name in enumerate(names)]
     if worn is not None:
         lines += ["o body", *(f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in worn.vertices.tolist()), "usemtl body"]
         lines += ["f {} {} {}".format(*row) for row in (worn.faces + 1 + len(drape.vertices)).tolist()]
@@ -180,20 +153,29 @@ def obj_text(garment: Draped, *, materials: str, tile: float = TILE, body: bool 
     library = [
         line for name, (r, g, b) in colours for line in (f"newmtl {name}", f"Kd {r:.4g} {g:.4g} {b:.4g}", "illum 1")
     ]
-    return "\n".join(lines) + "\n", "\n".join(library) + "\n"
+    with open_whole(materials) as mtl_file, open_whole(path) as obj_file:
+        mtl_file.write(("\n".join(library) + "\n").encode())
+        obj_file.write(("\n".join(lines) + "\n").encode())
 
 
-def ply_bytes(garment: Draped) -> bytes:
-    """The content of the file that ``ply`` writes."""
+def ply(garment: Draped, path: Path | str) -> None:
+    """Write the draped garment as binary PLY [cm], faces in the colours of their panels.
+
+    The vertices have the order of the sample's ``verts``. Raises errors as ``glb`` does.
+    """
     import trimesh
 
+    path = require_suffix(path, ".ply")
     mesh, drape = draped_mesh(garment)
-    colours = np.array([panel_colour(number) for number in range(len(mesh.panel_names))])
     cloth = trimesh.Trimesh(np.asarray(drape.vertices, np.float32), mesh.faces, process=False)
-    cloth.visual.face_colors = np.rint(255 * np.column_stack([colours, np.ones(len(colours))])).astype(np.uint8)[
-        mesh.panel_id
-    ]
-    return cloth.export(file_type="ply")
+    colours = np.column_stack([_colours(len(mesh.panel_names)), np.ones(len(mesh.panel_names))])
+    cloth.visual.face_colors = np.rint(255 * colours).astype(np.uint8)[mesh.panel_id]
+    write_whole(path, cloth.export(file_type="ply"))
+
+
+def _colours(count: int) -> Float[np.ndarray, "n 3"]:
+    """Colours of panels, as in pictures, 0 … 1."""
+    return np.array([PALETTE[number % len(PALETTE)] for number in range(count)])
 
 
 def _material(name: str, colour: tuple[float, float, float], *, two: bool) -> Any:
@@ -261,7 +243,9 @@ def _stage(garment: Draped, tile: float, with_body: bool) -> Any:
     _add_garment(stage, top, garment, tile)
     _add_seams(stage, top, garment)
     if with_body and (body := body_of(garment)) is not None:
-        _add_body(stage, top, body)
+        skin = _add_mesh(stage, f"{top}/body", body.vertices, body.faces)
+        skin.CreateDisplayColorPrimvar(geom.Tokens.constant).Set(_array("Vec3fArray", np.array([SKIN])))
+        _bind(stage, skin, f"{top}/materials/body", SKIN)
     return stage
 
 
@@ -274,7 +258,7 @@ def _add_garment(stage: Any, top: str, garment: Draped, tile: float) -> None:
     st.Set(_array("Vec2fArray", texture_coordinates(mesh, tile)))
     st.SetIndices(_array("IntArray", mesh.corners.ravel()))
     cloth.GetPrim().SetCustomDataByKey("tile_cm", tile)
-    colours = np.array([panel_colour(number) for number in range(len(mesh.panel_names))])
+    colours = _colours(len(mesh.panel_names))
     display = cloth.CreateDisplayColorPrimvar(geom.Tokens.uniform)
     display.Set(_array("Vec3fArray", colours))
     display.SetIndices(_array("IntArray", mesh.panel_id))
@@ -286,7 +270,7 @@ def _add_garment(stage: Any, top: str, garment: Draped, tile: float) -> None:
         )
         subset.GetPrim().SetCustomDataByKey("panel", mesh.panel_names[number])
         subset.GetPrim().SetDisplayName(mesh.panel_names[number])
-        _bind(stage, subset, f"{top}/materials/{name}", panel_colour(number))
+        _bind(stage, subset, f"{top}/materials/{name}", PALETTE[number % len(PALETTE)])
 
 
 def _add_seams(stage: Any, top: str, garment: Draped) -> None:
@@ -306,13 +290,6 @@ def _add_seams(stage: Any, top: str, garment: Draped) -> None:
     curves.SetWidthsInterpolation(geom.Tokens.constant)
     curves.CreateExtentAttr(_array("Vec3fArray", np.stack([points.min(0), points.max(0)])))
     curves.CreateDisplayColorPrimvar(geom.Tokens.constant).Set(_array("Vec3fArray", np.array([SEAM_COLOUR])))
-
-
-def _add_body(stage: Any, top: str, body: Body) -> None:
-    geom = optional("pxr.UsdGeom")
-    skin = _add_mesh(stage, f"{top}/body", body.vertices, body.faces)
-    skin.CreateDisplayColorPrimvar(geom.Tokens.constant).Set(_array("Vec3fArray", np.array([SKIN])))
-    _bind(stage, skin, f"{top}/materials/body", SKIN)
 
 
 def _add_mesh(stage: Any, path: str, vertices: np.ndarray, faces: np.ndarray) -> Any:

@@ -142,14 +142,10 @@ def tile(sizes: Float[np.ndarray, "p 2"], shapes: Sequence[shapely.Geometry], pa
     ``sizes``: bounding boxes of the pieces [cm]; ``shapes``: their cloth, relative to the lower left corners of the
     boxes. A page that shows no cloth is not printed.
     """
-    least = _columns(float(sizes[:, 0].max()), paper)
+    widest = float(sizes[:, 0].max()) - OVERLAP  # the last page may use its overlap
+    least = max(1, int(np.ceil(widest / paper.cell[0] - 1e-9)))
     found = [_tiling(sizes, shapes, paper, columns) for columns in range(least, max(MOST_COLUMNS, least) + 1)]
     return min(found, key=lambda tiling: (len(tiling.pages), tiling.rows * tiling.columns))
-
-
-def _columns(width: float, paper: Paper) -> int:
-    """Number of columns for a sheet of this width: the last page may use its overlap."""
-    return max(1, int(np.ceil((width - OVERLAP) / paper.cell[0] - 1e-9)))
 
 
 def _tiling(sizes: Float[np.ndarray, "p 2"], shapes: Sequence[shapely.Geometry], paper: Paper, columns: int) -> Tiling:
@@ -196,14 +192,9 @@ def pdf(garment: Sample | Pattern, path: Path | str, *, seam_allowance: float = 
 
     ``seam_allowance``: cloth beyond the sew line [cm]; ``paper``: a name of ``PAPERS``. Raises ``ConfigError`` for a
     name that does not end in ``.pdf``, an unknown paper or an allowance out of range, ``PatternError`` for a pattern
-    that cannot be sewn, ``ExtraMissing`` without reportlab, ``OutputError``.
+    that cannot be sewn, ``ExtraMissing`` without reportlab, ``OutputError``. Equal patterns give equal bytes.
     """
     path = require_suffix(path, ".pdf")
-    write_whole(path, pdf_bytes(garment, seam_allowance=seam_allowance, paper=paper))
-
-
-def pdf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, paper: str = "a4") -> bytes:
-    """The content of the file that ``pdf`` writes; equal patterns give equal bytes."""
     canvas_class = optional("reportlab.pdfgen.canvas").Canvas
     metrics, fonts = (optional(f"reportlab.pdfbase.{module}") for module in ("pdfmetrics", "cidfonts"))
     for font in ASIAN_FONTS.values():
@@ -226,7 +217,7 @@ def pdf_bytes(garment: Sample | Pattern, *, seam_allowance: float = 1.0, paper: 
     for piece in pieces:
         canvas.addOutlineEntry(piece.name, piece.name)
     canvas.save()
-    return file.getvalue()
+    write_whole(path, file.getvalue())
 
 
 @dataclass(frozen=True)
@@ -346,14 +337,13 @@ def _draw_marks(canvas: Any, sheet: _PaperSheet, page: Page) -> None:
 
 def _diamond(canvas: Any, x: float, y: float) -> None:
     """A registration mark: the half on each page complete each other."""
-    path = canvas.beginPath()
-    path.moveTo(x - MARK, y)
-    for corner in ((x, y + MARK), (x + MARK, y), (x, y - MARK)):
-        path.lineTo(*corner)
-    path.close()
-    canvas.drawPath(path, stroke=1, fill=0)
-    canvas.line(x - MARK, y, x + MARK, y)
-    canvas.line(x, y - MARK, x, y + MARK)
+    _polygon(canvas, np.array([[x - MARK, y], [x, y + MARK], [x + MARK, y], [x, y - MARK]]))
+    _cross(canvas, x, y, MARK)
+
+
+def _cross(canvas: Any, x: float, y: float, reach: float) -> None:
+    canvas.line(x - reach, y, x + reach, y)
+    canvas.line(x, y - reach, x, y + reach)
 
 
 # -------------------------------------------------------------------------------------------------------------- pieces
@@ -373,13 +363,12 @@ def _draw_piece(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
     canvas.setLineWidth(SEW_WIDTH)
     for x, y in piece.drills.tolist():
         canvas.circle(x, y, DRILL)
-        canvas.line(x - DRILL, y, x + DRILL, y)
-        canvas.line(x, y - DRILL, x, y + DRILL)
+        _cross(canvas, x, y, DRILL)
     for fold in piece.folds:
         _draw_fold(canvas, fold)
     canvas.setLineWidth(GRAIN_WIDTH)
-    _arrow(canvas, piece.grain[0], piece.grain[1])
-    _arrow(canvas, piece.grain[1], piece.grain[0])
+    _arrow(canvas, *piece.grain)
+    _arrow(canvas, *piece.grain[::-1])
     _write_name(canvas, piece, name, latin)
     canvas.setFillGray(GREY)
     for number in piece.numbers:
@@ -418,21 +407,16 @@ def _arrow(canvas: Any, tail: Float[np.ndarray, "2"], tip: Float[np.ndarray, "2"
     along = (tip - tail) / max(length, 1e-9)
     base = tip - min(ARROW[0], 0.4 * length) * along
     across = ARROW[1] * np.array([-along[1], along[0]])
-    path = canvas.beginPath()
-    path.moveTo(*tip.tolist())
-    path.lineTo(*(base + across).tolist())
-    path.lineTo(*(base - across).tolist())
-    path.close()
-    canvas.drawPath(path, stroke=0, fill=1)
+    _polygon(canvas, np.stack([tip, base + across, base - across]), filled=True)
 
 
-def _polygon(canvas: Any, points: Float[np.ndarray, "n 2"]) -> None:
+def _polygon(canvas: Any, points: Float[np.ndarray, "n 2"], *, filled: bool = False) -> None:
     path = canvas.beginPath()
     path.moveTo(*points[0].tolist())
     for point in points[1:].tolist():
         path.lineTo(*point)
     path.close()
-    canvas.drawPath(path, stroke=1, fill=0)
+    canvas.drawPath(path, stroke=not filled, fill=filled)
 
 
 def _sew_line(canvas: Any, panel: Panel) -> None:
@@ -461,26 +445,18 @@ def bezier_pieces(start: Point, end: Point, curve: Curve) -> list[tuple[Point, P
             ]
         case Cubic(control0, control1):
             return [(from_frame(start, end, control0), from_frame(start, end, control1), end)]
-        case Arc():
-            return _arc_pieces(start, end, curve)
+        case Arc(radius):
+            centre, first, sweep = arc_centre(start, end, curve)
+            count = max(1, int(np.ceil(abs(sweep) / ARC_STEP - 1e-9)))
+            angles = first + sweep * np.arange(count + 1) / count
+            radial = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+            on_arc = centre + radial
+            reach = 4 / 3 * np.tan(sweep / count / 4) * np.stack([-radial[:, 1], radial[:, 0]], axis=1)
+            on_arc[-1] = end
+            ends = zip((centre + radial + reach)[:-1], (centre + radial - reach)[1:], on_arc[1:], strict=True)
+            return [tuple((x, y) for x, y in np.array(piece).tolist()) for piece in ends]  # type: ignore[misc]
         case _:
             return []
-
-
-def _arc_pieces(start: Point, end: Point, arc: Arc) -> list[tuple[Point, Point, Point]]:
-    centre, first, sweep = arc_centre(start, end, arc)
-    count = max(1, int(np.ceil(abs(sweep) / ARC_STEP - 1e-9)))
-    angles = first + sweep * np.arange(count + 1) / count
-    reach = 4 / 3 * np.tan(sweep / count / 4)  # of the control points, in radii
-    radial = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    across = np.stack([-radial[:, 1], radial[:, 0]], axis=1)
-    on_arc = centre + arc.radius * radial
-    after, before = on_arc + arc.radius * reach * across, on_arc - arc.radius * reach * across
-    on_arc[-1] = end
-    return [
-        ((c0[0], c0[1]), (c1[0], c1[1]), (to[0], to[1]))
-        for c0, c1, to in zip(after[:-1].tolist(), before[1:].tolist(), on_arc[1:].tolist(), strict=True)
-    ]
 
 
 # -------------------------------------------------------------------------------------------------------------- legend
@@ -508,46 +484,38 @@ def _draw_legend(canvas: Any, sheet: _PaperSheet, left: float, top: float) -> No
 
 def _draw_key(canvas: Any, sheet: _PaperSheet, x: float, y: float) -> None:
     """The meaning of the lines."""
-    rows = ("cut", "sew", "notch", "double", "grain", "drill", "number")
-    texts = {
-        "cut": "cut line",
-        "sew": "sew line",
-        "notch": "notch: matches one on the other edge",
-        "double": "double notch: tells both ends apart",
-        "grain": "grain (warp)",
-        "drill": "drill hole of a dart",
-        "number": "seam: sew equal numbers together",
-    }
-    for row, kind in enumerate(rows):
-        level = y - 0.75 * row
-        canvas.setLineWidth(CUT_WIDTH)
-        match kind:
-            case "cut":
-                canvas.line(x, level, x + 1.5, level)
-            case "sew":
-                canvas.setLineWidth(SEW_WIDTH)
-                canvas.setDash(list(DASH))
-                canvas.line(x, level, x + 1.5, level)
-                canvas.setDash([])
-            case "notch" | "double":
-                canvas.line(x, level + 0.2, x + 1.5, level + 0.2)
-                for at in (0.75,) if kind == "notch" else (0.55, 0.95):
-                    canvas.line(x + at, level + 0.2, x + at, level - 0.2)
-            case "grain":
-                canvas.setLineWidth(GRAIN_WIDTH)
-                ends = np.array([[x, level], [x + 1.5, level]])
-                _arrow(canvas, ends[0], ends[1])
-                _arrow(canvas, ends[1], ends[0])
-            case "drill":
-                canvas.setLineWidth(SEW_WIDTH)
-                canvas.circle(x + 0.75, level, DRILL)
-                canvas.line(x + 0.75 - DRILL, level, x + 0.75 + DRILL, level)
-                canvas.line(x + 0.75, level - DRILL, x + 0.75, level + DRILL)
-            case _:
-                canvas.setFillGray(GREY)
-                _text(canvas, "7", x + 0.75, level - 0.15, SMALL)
-                canvas.setFillGray(0)
-        _text(canvas, texts[kind], x + 1.8, level - 0.12, TINY, centred=False)
+    middle, end = x + 0.75, x + 1.5
+    texts = (
+        "cut line",
+        "sew line",
+        "notch: matches one on the other edge",
+        "double notch: tells both ends apart",
+        "grain (warp)",
+        "drill hole of a dart",
+        "seam: sew equal numbers together",
+    )
+    levels = [y - 0.75 * row for row in range(len(texts))]
+    cut, sew, single, double, grain, drill, number = levels
+    canvas.setLineWidth(CUT_WIDTH)
+    canvas.line(x, cut, end, cut)
+    for level, slits in ((single, (0.75,)), (double, (0.55, 0.95))):
+        canvas.line(x, level + 0.2, end, level + 0.2)
+        for at in slits:
+            canvas.line(x + at, level + 0.2, x + at, level - 0.2)
+    canvas.setLineWidth(SEW_WIDTH)
+    canvas.setDash(list(DASH))
+    canvas.line(x, sew, end, sew)
+    canvas.setDash([])
+    canvas.circle(middle, drill, DRILL)
+    _cross(canvas, middle, drill, DRILL)
+    canvas.setLineWidth(GRAIN_WIDTH)
+    for ends in ((x, end), (end, x)):
+        _arrow(canvas, *(np.array([at, grain]) for at in ends))
+    canvas.setFillGray(GREY)
+    _text(canvas, "7", middle, number - 0.15, SMALL)
+    canvas.setFillGray(0)
+    for level, text in zip(levels, texts, strict=True):
+        _text(canvas, text, x + 1.8, level - 0.12, TINY, centred=False)
     steps = (
         "Trim each page at its solid border. Glue",
         "it to the dashed border of the page at its",

@@ -22,7 +22,6 @@ from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.body_set import encode_person, mesh_bytes
 from gcd_dataset.shards.layout import BODIES, GARMENTS, TRAIN, mesh_name
 from gcd_dataset.shards.manifest import Plan
-from gcd_dataset.waits import take_waits
 from gcd_dataset.workers import parallel_map_chunks
 
 Engine = Literal["local", "ray"]
@@ -153,7 +152,7 @@ def encoded(wearers: int, keeps_all: bool, sample: Sample) -> Made:
     failed = outcome not in (None, Outcome.SETTLED) and not keeps_all
     rejects = tuple(map(str, made.turned_down)) if made.index % wearers == 0 else ()  # once for each design
     name = None if outcome is None else outcome.name
-    return Made(made.index, encode_sample(sample), "", failed, rejects, name, take_waits())
+    return Made(made.index, encode_sample(sample), "", failed, rejects, name)
 
 
 def workers_for(config: MakeConfig, count: int) -> int:
@@ -204,6 +203,5 @@ def _make_chunk(seed: int, bodies: str, recipe: dict[str, Any], indices: Sequenc
     origin = {"seed": seed, "versions": versions()}
     people = ((index, make_person(seed, index, bodies=bodies)) for index in indices)
     return [
-        Made(index, encode_person(person, {**origin, "index": index, "recipe": recipe}), waits=take_waits())
-        for index, person in people
+        Made(index, encode_person(person, {**origin, "index": index, "recipe": recipe})) for index, person in people
     ]

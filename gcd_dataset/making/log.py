@@ -9,8 +9,7 @@ progress
     Every 100 samples, and at the first sample 10 s after the last line or later: ``count`` (samples in the finished
     data set), ``there`` (from earlier runs), ``made`` (by this run), ``rate`` (samples a second over the last minute,
     or null), ``left_s`` (seconds left at that rate, or null), ``outcomes`` and ``rejects`` (of this run, by name and by
-    rule), ``waits`` (idle share of the last minute: each GPU's draping processes, ``makers``, ``writer``), ``rss_mb``
-    (resident memory of this process, MB).
+    rule), ``rss_mb`` (resident memory of this process, MB).
 end, stopped, failed
     The keys of ``progress``, and ``seconds`` (since ``begin``). ``stopped``: by Ctrl-C; ``failed``: also ``error``, the
     error message. A killed run logs none of these events.
@@ -114,7 +113,6 @@ def _figures(progress: Progress) -> dict[str, Any]:
         "left_s": None if progress.left_s is None else round(progress.left_s, 1),
         "outcomes": dict(progress.outcomes.most_common()),
         "rejects": dict(progress.rejects.most_common()),
-        "waits": {name: round(share, 4) for name, share in progress.waits.items()},
         "rss_mb": round(_resident() / 1e6, 1),
     }
 

@@ -1,21 +1,19 @@
-"""Progress of a verb: counts, outcomes, rejects, rate and waits."""
+"""Progress of a verb: counts, outcomes, rejects and rate."""
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Self
 
-from gcd_dataset.waits import Wait, Waits, sum_waits, wait_shares
-
 SETTLED = "SETTLED"  # name of ``Outcome.SETTLED``
-WINDOW = 60.0  # s: rates and waits are averages over the last minute
+WINDOW = 60.0  # s: rates are averages over the last minute
 EVERY = 1.0  # s between two marks of the window, which begins at one
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Samples wanted, existing and made, with outcomes, rejects, rate and waits."""
+    """Samples wanted, existing and made, with outcomes, rejects and rate."""
 
     count: int
     """Samples in the finished data set."""
@@ -33,9 +31,6 @@ class Progress:
     """Samples that could not be made, with the reason."""
     rate: float | None = None
     """Samples a second over the last minute; ``None`` if not measured."""
-    waits: Mapping[str, float] = field(default_factory=dict)
-    """Idle share of the last minute, by name: a device (its draping processes wait for requests), ``makers`` (worker
-    processes wait for the writer), ``writer`` (waits for samples)."""
 
     @property
     def left_s(self) -> float | None:
@@ -65,35 +60,30 @@ class Progress:
 
 
 class _Mark(NamedTuple):
-    """Samples made and waits up to one point in time."""
+    """Samples made up to one point in time."""
 
     time: float
     made: int
-    waits: Waits
-    """Sum of the waits since the start of the run."""
 
 
 class Pace:
-    """Rate and waits over a sliding window of a minute. ``clock``: time [s] from any origin."""
+    """Rate over a sliding window of a minute. ``clock``: time [s] from any origin."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._waits: Waits = {}
-        self._marks = deque([_Mark(clock(), 0, {})])
+        self._marks = deque([_Mark(clock(), 0)])
 
-    def of(self, progress: Progress, waits: Waits) -> Progress:
-        """``progress`` with rate and waits; ``waits``: the waits since the last call."""
+    def of(self, progress: Progress) -> Progress:
+        """``progress`` with its rate."""
         now, marks = self._clock(), self._marks
-        self._waits = sum_waits(self._waits, waits)
         while len(marks) > 1 and now - marks[1].time >= WINDOW:
             marks.popleft()
         first = marks[0]
         if now - marks[-1].time >= EVERY:
-            marks.append(_Mark(now, progress.made, self._waits))
+            marks.append(_Mark(now, progress.made))
         if now <= first.time:
             return progress
-        minute = sum_waits(self._waits, {name: Wait(-wait.idle, -wait.over) for name, wait in first.waits.items()})
-        return replace(progress, rate=(progress.made - first.made) / (now - first.time), waits=wait_shares(minute))
+        return replace(progress, rate=(progress.made - first.made) / (now - first.time))
 
 
 ProgressCallback = Callable[[Progress], None]

@@ -39,9 +39,7 @@ from gcd_dataset.shards.notes import (
 )
 from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import Draft, draft_name, remove_drafts
-from gcd_dataset.waits import WRITER, Waits, sum_waits, take_waits, timed
 
-NO_WAITS: Waits = {}
 OTHER_PATTERNS = (
     "%s: its patterns differ from the patterns of %s: this version of the package, of NumPy, SciPy or Shapely, draws "
     "different patterns; the data set can be used, but not under that name"
@@ -62,8 +60,6 @@ class Made(NamedTuple):
     """``rule: reason`` of each attempt rejected for its design; given for one sample of a design."""
     outcome: str | None = None
     """Name of the outcome of the drape; ``None`` without a drape."""
-    waits: Waits = NO_WAITS
-    """Waits of its worker, and of the draping processes, since the previous sample."""
 
 
 Wanted = Sequence[tuple[Task, Sequence[int]]]
@@ -106,7 +102,7 @@ def run(
         with contextlib.closing((engine or make_shards)(place, missing, maker)) as samples:
             for made in samples:
                 progress = progress.with_made(made.rejects, made.outcome, made.fault)
-                progress = pace.of(progress, sum_waits(made.waits, take_waits()))
+                progress = pace.of(progress)
                 report(progress)
         names = place.names()
         if MANIFEST not in names and all(task.tar in names for task in tasks):
@@ -219,8 +215,10 @@ def make_shards(place: Place, tasks: Sequence[Task], maker: Maker) -> Generator[
         # Beside another process begin at the end, so that the two meet once.
         free = [task for task in (missing[::-1] if others else missing) if task.tar not in others]
         wanted = _wanted(place, free or missing[:1])
-        stream = timed(maker([(task, left) for task, left in wanted if left]), WRITER)
-        with contextlib.closing(stream) as samples:  # type: ignore[type-var]
+        samples = maker([(task, left) for task, left in wanted if left])
+        with contextlib.ExitStack() as opened:
+            if isinstance(samples, Generator):
+                opened.callback(samples.close)
             yield from _fill_drafts(place, wanted, samples, others, wait=not free)
         if not free:
             others.discard(missing[0].tar)

@@ -12,11 +12,4 @@ if TYPE_CHECKING:
 
 __all__ = ["PcaShapes", "PublishedBatches", "PublishedGarment", "PublishedGarments", "PublishedPeople", "read_pca"]
 
-_NAMES_OF_MODULE = {
-    "batches": ("PublishedBatches",),
-    "bodies": ("PcaShapes", "PublishedPeople", "read_pca"),
-    "garment_list": ("PublishedGarments",),
-    "read_garment": ("PublishedGarment",),
-}
-
-__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)
+__getattr__, __dir__ = lazy_names(__name__)

@@ -11,7 +11,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import yaml
 
@@ -90,14 +90,10 @@ class _Loader(PlainLoader):
     """Reads plain values, and skips Python objects in the file."""
 
 
-def _skip_object(loader: Any, suffix: str, node: yaml.Node) -> None:
-    return None
+_Loader.add_multi_constructor("tag:yaml.org,2002:python/", lambda loader, suffix, node: None)
 
 
-_Loader.add_multi_constructor("tag:yaml.org,2002:python/", _skip_object)
-
-
-ARCHIVES = (".tar.gz", ".tgz", ".tar")
+ARCHIVES = (".tar.gz", ".tgz")
 NO_GARMENTS = frozenset({"renders", "patterns_vis"})  # folders of the authors' tools beside the garments
 
 
@@ -160,7 +156,7 @@ class PublishedBatches:
     """The batches of a release, each with its garments on the default body, on random bodies, or both.
 
     ``root``: the folder with ``garments_5000_0`` and further batches, or its parent. ``bodies``: ``default``,
-    ``random`` or ``both``. ``cache_dir``: folder for the indices of archives and the extracts of properties files; by
+    ``random`` or ``both``. ``cache_dir``: folder for unpacked archives and the extracts of properties files; by
     default beside the files. May be pickled and forked.
 
     Raises ``ConfigError`` for an unknown choice of bodies, ``ShardError`` for a folder without the layout or a damaged
@@ -175,7 +171,9 @@ class PublishedBatches:
         self.properties: dict[tuple[str, str], Properties] = {}
         """Batch and body folder to the properties of the garments there."""
         with reading(self.root):
-            for batch in sorted((path for path in self.root.iterdir() if is_batch(path)), key=_order):
+            for batch in sorted(
+                (path for path in self.root.iterdir() if is_batch(path)), key=lambda path: batch_order(path.name)
+            ):
                 for folder in self.body_folders:
                     if (batch / folder).is_dir():
                         self._open(batch / folder)
@@ -211,7 +209,3 @@ def _root(path: Path) -> Path:
     if folder is None:
         raise ShardError(f"{path}: no folder such as garments_5000_0/default_body: give the folder of GarmentCodeData")
     return folder
-
-
-def _order(path: Path) -> tuple[object, ...]:
-    return batch_order(path.name)

@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.bodyfiles import parse_measurements
 from gcd_dataset.errors import BodyError, ShardError, SpecError, shown
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Panel, Pattern
 from gcd_dataset.release.batches import Facts
 from gcd_dataset.release.meshes import Ply, read_ply, weld
@@ -324,8 +325,7 @@ def _offset(scaled: Float[np.ndarray, "n 2"], panel: Panel) -> Float[np.ndarray,
 
 def _stretch(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, " e"]:
     """Stretch of the mesh edges: length / flat length, without edges of zero flat length."""
-    sides = np.sort(np.concatenate([mesh.corners[:, [0, 1]], mesh.corners[:, [1, 2]], mesh.corners[:, [2, 0]]]), axis=1)
-    a, b = np.divmod(np.unique(sides[:, 0] * len(mesh.uv) + sides[:, 1]), max(len(mesh.uv), 1))
+    a, b = mesh_edges(mesh.corners).ends.T
     flat = np.linalg.norm(mesh.uv[a] - mesh.uv[b], axis=1)
     placed = vertices[mesh.uv_vertex]
     has_length = flat > SHORTEST

@@ -37,6 +37,4 @@ __all__ = [
     "read_manifest",
 ]
 
-_NAMES_OF_MODULE = {"body_set": ("BodyWriter",), "reader": ("ShardReader",), "writer": ("ShardWriter",)}
-
-__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)
+__getattr__, __dir__ = lazy_names(__name__)

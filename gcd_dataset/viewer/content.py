@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError, GcdError
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.records import Body, BoxMesh, Drape, Grade, Measurements, Outcome, Pattern, Record, Sample
+from gcd_dataset.records import ANGLES, Body, BoxMesh, Drape, Grade, Measurements, Outcome, Pattern, Record, Sample
 
 Rows = tuple[tuple[str, str], ...]
 """Names and values of a table."""
@@ -88,7 +88,10 @@ def _of_sample(sample: Sample, body: Body | None) -> Content:
         grade=sample.grade,
         tables={
             "Outcome": tuple(_outcome_rows(sample)),
-            "Measures": tuple(_measure_rows(sample.measurements)),
+            "Measures": tuple(
+                (name, f"{value:.1f} {'°' if name in ANGLES else 'cm'}")
+                for name, value in sample.measurements.to_file_values().items()
+            ),
             "Design": tuple(_flat(sample.design)),
             "Recipe": tuple(_recipe_rows(sample)),
         },
@@ -169,13 +172,6 @@ def _outcome_rows(sample: Sample) -> Iterator[tuple[str, str]]:
     if sample.fabric is not None:
         yield "fabric", sample.fabric.name
         yield from _flat(sample.fabric.parameters)
-
-
-def _measure_rows(measurements: Measurements) -> Iterator[tuple[str, str]]:
-    from gcd_dataset.records import ANGLES
-
-    for name, value in measurements.to_file_values().items():
-        yield name, f"{value:.1f} {'°' if name in ANGLES else 'cm'}"
 
 
 def _recipe_rows(sample: Sample) -> Iterator[tuple[str, str]]:

@@ -1,12 +1,10 @@
 """The garments that a viewer turns over: of a data set, as published, or specification files beside the truth."""
 
-import contextlib
-import hashlib
 import json
 import re
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -19,20 +17,17 @@ from gcd_dataset.errors import (
     BodyError,
     ConfigError,
     GcdError,
-    OutputError,
     PatternError,
     RemoteError,
     ShardError,
     shown,
 )
 from gcd_dataset.faults import require_valid
-from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drawing import draw_pattern, picture_of
 from gcd_dataset.records import EdgeRef, Pattern, Sample
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
-from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.spec import pattern_name, read_pattern
 from gcd_dataset.viewer.content import Content, body_of, content_of
 from gcd_dataset.viewer.page import page_of
@@ -47,6 +42,9 @@ PREDICTED = re.compile("_(predicted|prediction)$")  # ends of names that are not
 FIGURES = ("iou", "panel_l2", "edge_count_acc", "stitch_f1", "topology_exact")  # of ``PatternScore``
 MOST_NAMES = 20  # names listed in a line
 REQUESTED = 256  # garments of a remote data set whose tags are requested at a time
+CHUNK = 64  # samples whose metadata are read at once; ``close`` waits for a chunk
+META = "meta.json"
+TAG, OUTCOME = "tag", "outcome"
 NO_BODY = "body mesh"  # in the table of the recipe: why there is no body
 SETTLED, UNSETTLED = "settled", "all but settled"  # no outcome has the latter name
 
@@ -94,6 +92,10 @@ class Album(ABC):
     """Headings of the pages of a garment, from left to right."""
     waits: bool = False
     """Whether ``read_tags`` reads only a part, and is to be called again for more."""
+    known: int
+    """Garments whose tags are known."""
+    problem: str = ""
+    """Why ``read_tags`` ended early; empty if it did not."""
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -106,9 +108,9 @@ class Album(ABC):
     def page(self, position: int, side: int = 0) -> str:
         """The HTML page of a garment. Raises ``GcdError`` for a damaged one."""
 
+    @abstractmethod
     def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
         """Front of a garment, stored or rendered; without a drape its pattern. Raises ``GcdError`` for damage."""
-        raise NotImplementedError
 
     def links(self, position: int) -> dict[str, Any]:
         """Parts of the two pages of a garment that belong together; see ``SpecAlbum.links``."""
@@ -117,16 +119,6 @@ class Album(ABC):
     def facets(self) -> Facets:
         """Grades, outcomes and kinds, as far as they are known."""
         return Facets()
-
-    @property
-    def known(self) -> int:
-        """Garments whose tags are known."""
-        return len(self)
-
-    @property
-    def problem(self) -> str:
-        """Why ``read_tags`` ended early; empty if it did not."""
-        return ""
 
     def read_tags(self, between: Callable[[], None] | None = None) -> None:  # noqa: B027 -- most albums have none
         """Read tags that are not known yet, until ``close``; ``between`` is called before each part."""
@@ -165,21 +157,23 @@ class ShardAlbum(Album):
     """A split of a data set. Grades, and which drapes settled, come from the index; ``read_tags`` reads the rest.
 
     Tags of a local data set are read all at once; of a remote one ``REQUESTED`` at a time, since each takes a request.
-    ``cache``: folder that keeps the tags between runs; ``None`` for none.
     """
 
-    def __init__(self, reader: ShardReader, title: str, cache: Path | None = None) -> None:
+    def __init__(self, reader: ShardReader, title: str) -> None:
         self.title = title
         self.waits = not isinstance(reader.store, FolderStore)
-        self._reader = reader
+        self._reader, self._count = reader, len(reader)
+        self._positions: dict[tuple[str, str], list[Int[np.ndarray, " m"]]] = {}
+        self._lock, self._reading, self._closed = threading.Lock(), threading.Lock(), threading.Event()
+        self.problem = ""
+        self.known = 0 if META in reader.layout.members else self._count
         rows = reader.rows(range(len(reader)))
         self._grade = reader.index.grade[rows]
         self._settled = reader.index.settled[rows]
         self._number = reader.index.number[rows]
-        self._tags = GarmentTags(reader, cache)
 
     def __len__(self) -> int:
-        return len(self._reader)
+        return self._count
 
     def key(self, position: int) -> str:
         return self._reader.key(position)
@@ -194,26 +188,29 @@ class ShardAlbum(Album):
         counts = np.bincount(self._grade, minlength=len(GRADES)).tolist()
         settled = int(self._settled.sum())
         outcomes = {SETTLED: settled, UNSETTLED: len(self) - settled} if settled else {}
-        unsettled = {word: count for word, count in self._tags.counts(OUTCOME).items() if word not in outcomes}
+        unsettled = {word: count for word, count in self._counts(OUTCOME).items() if word not in outcomes}
         return Facets(
             grades={name: count for name, count in zip(GRADES, counts, strict=True) if name and count},
             outcomes={word: count for word, count in (outcomes | unsettled).items() if count},
-            kinds=self._tags.counts(TAG),
+            kinds=self._counts(TAG),
         )
 
-    @property
-    def known(self) -> int:
-        return self._tags.known
-
-    @property
-    def problem(self) -> str:
-        return self._tags.problem
-
     def read_tags(self, between: Callable[[], None] | None = None) -> None:
-        self._tags.read(REQUESTED if self.waits else None, between)
+        with self._reading:
+            self.problem = ""
+            last = min(self.known + REQUESTED, self._count) if self.waits else self._count
+            while self.known < last and not self._closed.is_set():
+                if between is not None:
+                    between()
+                chunk = range(self.known, min(self.known + CHUNK, last))
+                try:
+                    self._add(chunk, self._metas(chunk))
+                except RemoteError as error:
+                    self.problem = str(error)
+                    break
 
     def close(self) -> None:
-        self._tags.close()
+        self._closed.set()
 
     def matches(self, where: Filter = ANY) -> Int[np.ndarray, " m"]:
         admitted: Bool[np.ndarray, " n"] = np.ones(len(self), bool)
@@ -228,9 +225,49 @@ class ShardAlbum(Album):
         return np.flatnonzero(admitted)
 
     def _with(self, field: str, word: str) -> Bool[np.ndarray, " n"]:
+        """Whether a garment is known to have a word; ``field``: ``TAG`` or ``OUTCOME``."""
         mask = np.zeros(len(self), bool)
-        mask[self._tags.positions(field, word)] = True
+        with self._lock:
+            for rows in self._positions.get((field, word), ()):
+                mask[rows] = True
         return mask
+
+    def _counts(self, field: str) -> dict[str, int]:
+        """Word to the number of known garments with it, in alphabetical order; ``field``: ``TAG`` or ``OUTCOME``."""
+        with self._lock:
+            found = {word: sum(map(len, rows)) for (name, word), rows in self._positions.items() if name == field}
+        return dict(sorted(found.items()))
+
+    def _metas(self, chunk: Sequence[int]) -> list[Mapping[str, Any]]:
+        try:
+            return [_parsed(members[META]) for members in self._reader.read_many(chunk, [META])]
+        except ShardError:  # ``gcd check`` reports damage; the garment's own page does too
+            return self._readable(chunk)
+
+    def _readable(self, chunk: Sequence[int]) -> list[Mapping[str, Any]]:
+        """Read one by one, an empty mapping for a damaged garment. Raises ``RemoteError`` if a server fails twice."""
+        metas: list[Mapping[str, Any]] = []
+        has_failed = False
+        for position in chunk:
+            try:
+                metas.append(_parsed(self._reader.read(position, [META])[META]))
+                has_failed = False
+            except ShardError as error:
+                if has_failed and isinstance(error, RemoteError):
+                    raise
+                metas.append({})
+                has_failed = isinstance(error, RemoteError)
+        return metas
+
+    def _add(self, chunk: Sequence[int], metas: Sequence[Mapping[str, Any]]) -> None:
+        found: dict[tuple[str, str], list[int]] = {}
+        for position, meta in zip(chunk, metas, strict=True):
+            for word in _tag_words(meta):
+                found.setdefault(word, []).append(position)
+        with self._lock:
+            for word, rows in found.items():
+                self._positions.setdefault(word, []).append(np.array(rows, np.int64))
+            self.known = chunk[-1] + 1
 
     def position_of(self, text: str) -> int:
         digits = text.strip().rsplit("_", 1)[-1]
@@ -249,7 +286,7 @@ class SpecAlbum(Album):
 
     def __init__(self, paths: Sequence[Path], title: str, truth: Mapping[str, Source] | None = None) -> None:
         self.title, self._paths, self._truth = title, list(paths), truth or {}
-        self.beside = ("",) if truth is None else ("predicted", "true")
+        self.beside, self.known = ("",) if truth is None else ("predicted", "true"), len(self._paths)
 
     def __len__(self) -> int:
         return len(self._paths)
@@ -315,7 +352,7 @@ class PublishedAlbum(Album):
     """GarmentCodeData as published, each garment on its body where the release's bodies are on disk."""
 
     def __init__(self, published: "PublishedGarmentCodeData", title: str) -> None:
-        self.title, self._published = title, published
+        self.title, self._published, self.known = title, published, len(published)
         folders = np.array([name.split("/")[1] for name in published.names])
         self._kinds = {str(folder): np.flatnonzero(folders == folder) for folder in np.unique(folders)}
 
@@ -332,7 +369,7 @@ class PublishedAlbum(Album):
         return _front(self._published.sample(position), size)
 
     def facets(self) -> Facets:
-        return Facets(kinds={_words(folder): len(rows) for folder, rows in self._kinds.items()})
+        return Facets(kinds={folder.replace("_", " "): len(rows) for folder, rows in self._kinds.items()})
 
     def matches(self, where: Filter = ANY) -> Int[np.ndarray, " m"]:
         if where.grade or where.outcome:
@@ -428,10 +465,6 @@ def _score_text(score: "PatternScore") -> str:
     return ", ".join(f"{name} {getattr(score, name):.3f}" for name in FIGURES)
 
 
-def _words(name: str) -> str:
-    return name.replace("_", " ")
-
-
 def _by_key(source: Path) -> dict[str, Path]:
     """Name to specification file: the file itself, or those in a folder; without any, those in its subfolders."""
     found: dict[str, Path] = {}
@@ -450,154 +483,6 @@ def _key(path: Path) -> str:
 @lru_cache(KEPT_MATCHES)
 def _positions(keys: tuple[str, ...]) -> dict[str, int]:
     return {key: position for position, key in enumerate(keys)}
-
-
-CHUNK = 64  # samples whose metadata are read at once; ``close`` waits for a chunk
-KEPT_FILES = 64  # data sets in the cache, the latest ones
-FOLDER = "tags"
-META = "meta.json"
-TAG, OUTCOME = "tag", "outcome"
-SECTIONS = {"words": "u1", "counts": "i4", "positions": "i4", "known": "i4"}
-"""Section of a cached file to its type; words are a JSON list."""
-
-
-class GarmentTags:
-    """Tags and outcomes of the first ``known`` garments of a split; ``read`` reads more. Methods are thread-safe.
-
-    ``cache``: folder that keeps them between runs, keyed by the checksums of all ``meta.json``; ``None`` for none.
-    """
-
-    def __init__(self, reader: ShardReader, cache: Path | None = None) -> None:
-        self._reader, self._count = reader, len(reader)
-        self._file = None if cache is None else cache / FOLDER / f"{_identity(reader)}.z"
-        self._positions: dict[tuple[str, str], list[Int[np.ndarray, " m"]]] = {}
-        self._lock, self._reading, self._closed = threading.Lock(), threading.Lock(), threading.Event()
-        self.problem = ""
-        """The message of the server that ended the last ``read`` early; empty if none did."""
-        self.known = 0 if META in reader.layout.members else self._count
-        if self._file is not None and not self.known:
-            self._load(self._file)
-
-    def counts(self, field: str) -> dict[str, int]:
-        """Word to the number of known garments with it, in alphabetical order; ``field``: ``TAG`` or ``OUTCOME``."""
-        with self._lock:
-            found = {word: sum(map(len, rows)) for (name, word), rows in self._positions.items() if name == field}
-        return dict(sorted(found.items()))
-
-    def positions(self, field: str, word: str) -> Int[np.ndarray, " m"]:
-        """Positions of the known garments with a word, ascending."""
-        with self._lock:
-            rows = self._positions.get((field, word), [])
-            if len(rows) > 1:
-                rows[:] = [np.concatenate(rows)]
-        return rows[0] if rows else np.zeros(0, np.int64)
-
-    def read(self, limit: int | None = None, between: Callable[[], None] | None = None) -> None:
-        """Read the next ``limit`` garments, by default all, until ``close``; damaged ones have no tags.
-
-        ``between``: called before each part, to wait for more urgent work.
-
-        Ends early if a server does not answer, and keeps the message in ``problem``. What was read is written to the
-        cache; one thread reads at a time.
-        """
-        with self._reading:
-            self.problem = ""
-            before = self.known
-            last = self._count if limit is None else min(self.known + limit, self._count)
-            while self.known < last and not self._closed.is_set():
-                if between is not None:
-                    between()
-                chunk = range(self.known, min(self.known + CHUNK, last))
-                try:
-                    self._add(chunk, self._metas(chunk))
-                except RemoteError as error:
-                    self.problem = str(error)
-                    break
-            if self.known > before and self._file is not None:
-                self._save(self._file)
-
-    def close(self) -> None:
-        """Stop ``read``."""
-        self._closed.set()
-
-    def _metas(self, chunk: Sequence[int]) -> list[Mapping[str, Any]]:
-        try:
-            return [_parsed(members[META]) for members in self._reader.read_many(chunk, [META])]
-        except ShardError:  # ``gcd check`` reports damage; the garment's own page does too
-            return self._readable(chunk)
-
-    def _readable(self, chunk: Sequence[int]) -> list[Mapping[str, Any]]:
-        """Read one by one, an empty mapping for a damaged garment. Raises ``RemoteError`` if a server fails twice."""
-        metas: list[Mapping[str, Any]] = []
-        has_failed = False
-        for position in chunk:
-            try:
-                metas.append(_parsed(self._reader.read(position, [META])[META]))
-                has_failed = False
-            except ShardError as error:
-                if has_failed and isinstance(error, RemoteError):
-                    raise
-                metas.append({})
-                has_failed = isinstance(error, RemoteError)
-        return metas
-
-    def _add(self, chunk: Sequence[int], metas: Sequence[Mapping[str, Any]]) -> None:
-        found: dict[tuple[str, str], list[int]] = {}
-        for position, meta in zip(chunk, metas, strict=True):
-            for word in _tag_words(meta):
-                found.setdefault(word, []).append(position)
-        with self._lock:
-            for word, rows in found.items():
-                self._positions.setdefault(word, []).append(np.array(rows, np.int64))
-            self.known = chunk[-1] + 1
-
-    # ---------------------------------------------------------------------------------------------------------- cache
-
-    def _load(self, path: Path) -> None:
-        """Take over a cached file; one that is missing, unreadable or damaged is left out."""
-        try:
-            stored = unpack(path.read_bytes())
-            words, counts, positions, known = (stored[name] for name in SECTIONS)
-            named = [(field, word) for field, word in json.loads(words.tobytes())]
-        except (OSError, ShardError, KeyError, ValueError, TypeError):
-            return
-        are_typed = all(stored[name].dtype == kind and stored[name].ndim == 1 for name, kind in SECTIONS.items())
-        ends = np.cumsum(counts)
-        is_whole = are_typed and len(named) == len(counts) and len(known) == 1 and ends[-1:].sum() == len(positions)
-        if not is_whole or not 0 <= known[0] <= self._count or not ((positions >= 0) & (positions < known)).all():
-            return
-        parts = np.split(positions.astype(np.int64), ends[:-1]) if len(ends) else []
-        self._positions.update({word: [rows] for word, rows in zip(named, parts, strict=True)})
-        self.known = int(known[0])
-
-    def _save(self, path: Path) -> None:
-        """Write to the cache; without room or permission there is none."""
-        words = list(self._positions)
-        parts = [self.positions(*word) for word in words]
-        content: dict[str, np.ndarray] = {
-            "words": np.frombuffer(json.dumps(words).encode(), np.uint8),
-            "counts": np.array([len(rows) for rows in parts], np.int32),
-            "positions": np.concatenate([np.zeros(0, np.int64), *parts]).astype(np.int32),
-            "known": np.array([self.known], np.int32),
-        }
-        with contextlib.suppress(OSError, OutputError):
-            make_folder(path.parent)
-            write_whole(path, pack(content, {"positions": Coding(1)}))
-            _evict(path.parent.glob("*.z"))
-
-
-def _identity(reader: ShardReader) -> str:
-    """A hash of the samples of a split, and of their ``meta.json``, in order."""
-    rows = reader.rows(range(len(reader)))
-    digest = hashlib.sha256(np.ascontiguousarray(reader.index.number[rows]).tobytes())
-    digest.update("".join(shard.sha256 for shard in reader.record.shards).encode())
-    return digest.hexdigest()[:32]
-
-
-def _evict(files: Iterable[Path]) -> None:
-    """Delete all but the latest files of the cache."""
-    for path in sorted(files, key=lambda path: path.stat().st_mtime)[:-KEPT_FILES]:
-        path.unlink(missing_ok=True)
 
 
 def _parsed(content: memoryview) -> Mapping[str, Any]:

@@ -61,12 +61,10 @@ def picture(encoded: bytes, text: str, style: str = "") -> str:
 
 def table(rows: Iterable[tuple[str, Any]], *, breaks: bool = False) -> str:
     """A table of names and values; ``breaks``: a name may be broken after a dot or an underscore."""
-    lines = (f"<tr><th>{_name(str(name), breaks)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows)
+    texts = ((escape(str(name)), escape(str(value))) for name, value in rows)
+    broken = ((re.sub(r"([._])(?=.)", r"\1<wbr>", name) if breaks else name, value) for name, value in texts)
+    lines = (f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in broken)
     return f"<table>{''.join(lines)}</table>"
-
-
-def _name(text: str, breaks: bool) -> str:
-    return re.sub(r"([._])(?=.)", r"\1<wbr>", escape(text)) if breaks else escape(text)
 
 
 SHOWN = 6  # garments of a data set or a batch
@@ -110,7 +108,8 @@ def sample_html(sample: Sample) -> str:
 def item_html(item: Mapping[str, Any]) -> str:
     """Pictures and pattern of a loaded garment, and its fields with shapes and types."""
     key = _entry(item.get("meta"), "key") or item.get("name") or "garment"
-    pictures = [picture(_encoded(item[side]), f"{key}, {side}", LARGE) for side in PICTURES if _is_picture(item, side)]
+    stored = [side for side in PICTURES if getattr(item.get(side), "ndim", 0) == 3]
+    pictures = [picture(_encoded(item[side]), f"{key}, {side}", LARGE) for side in stored]
     sheet = _sheet_of_spec(item.get("spec"), str(key), SHEET)
     views = [picture(jpeg_bytes(pixels), f"{key}, {name}", SMALL) for name, pixels in _views_of(item)]
     shown = f'<div style="{BOX}">{"".join(pictures)}{sheet}</div>{_row(views)}'
@@ -270,11 +269,6 @@ def _views_of(item: Mapping[str, Any]) -> Iterator[tuple[str, UInt8[np.ndarray, 
 
 def _row(elements: Sequence[str]) -> str:
     return f'<div style="{BOX}">{"".join(elements)}</div>' if elements else ""
-
-
-def _is_picture(item: Mapping[str, Any], side: str) -> bool:
-    value = item.get(side)
-    return value is not None and getattr(value, "ndim", 0) == 3
 
 
 def _encoded(picture: Any) -> bytes:

@@ -17,9 +17,10 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from gcd_dataset.curves import signed_area
 from gcd_dataset.generator.lay_plan import PALETTE, PLAIN_EDGE, LayPlan, SheetPanel, lay_out, seam_colour
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.records import Body, BoxMesh, EdgeRef, Outcome, Pattern
+from gcd_dataset.records import BoxMesh, EdgeRef, Outcome, Pattern
 from gcd_dataset.viewer.content import Content
 from gcd_dataset.viewer.notebook import asset, inline_svg, picture, script_data, table
 
@@ -56,7 +57,7 @@ def page_of(content: Content) -> str:
         "style": asset("page.css"),
         "data": script_data(_data(content, plan)),
         "script": script,
-        "script_hash": _policy_hash(script),
+        "script_hash": f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}",
     }
     return _filled(asset("page.html"), parts)
 
@@ -69,10 +70,6 @@ def _filled(template: str, parts: Mapping[str, str]) -> str:
     pieces = template.split("{{")
     tails = (piece.partition("}}") for piece in pieces[1:])
     return pieces[0] + "".join(parts[name] + rest for name, _, rest in tails)
-
-
-def _policy_hash(script: str) -> str:
-    return f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"
 
 
 def _headline(content: Content) -> str:
@@ -108,7 +105,9 @@ def _view(content: Content) -> str:
         else '      <label class="check"><input type="checkbox" id="body" checked>Body</label>\n',
         "strain_low": f"−{limit:.0%}",
         "strain_high": f"+{limit:.0%}",
-        "crossings": _crossings_legend(content),
+        "crossings": '<i class="dot"></i>cloth that crosses itself or the body'
+        if content.crossed is not None and len(content.crossed)
+        else "the cloth crosses neither itself nor the body",
         "stops": "".join(f'<button type="button" data-stage="{i}">{name}</button>' for i, name in enumerate(stages)),
     }
     return _filled(asset("view.html"), parts)
@@ -121,12 +120,6 @@ def _pictures(content: Content) -> str:
     images = "".join(picture(view, f"view {number}") for number, view in enumerate(content.views))
     head = '<div class="strip"><h2>Pictures</h2></div>'
     return f'<section class="card pictures" aria-label="Pictures">{head}<div>{images}</div></section>\n'
-
-
-def _crossings_legend(content: Content) -> str:
-    if content.crossed is None or not len(content.crossed):
-        return "the cloth crosses neither itself nor the body"
-    return '<i class="dot"></i>cloth that crosses itself or the body'
 
 
 def _table(title: str, rows: Sequence[tuple[str, Any]]) -> str:
@@ -148,17 +141,18 @@ def _data(content: Content, plan: LayPlan) -> dict[str, Any]:
         "mesh": None if content.mesh is None else _mesh_data(content, content.mesh, plan),
         "body": None
         if content.body is None
-        else {"vertices": _coordinates(content.body.vertices), "faces": _packed_faces(content.body)},
+        else {
+            "vertices": _coordinates(content.body.vertices),
+            "faces": _packed_faces(np.asarray(content.body.faces, np.int32).tobytes()),
+        },
     }
 
 
 def _panel_data(piece: SheetPanel) -> dict[str, Any]:
     colour = [round(255 * (part + LIGHTENING * (1.0 - part))) for part in PALETTE[piece.number % len(PALETTE)]]
-    x, y = piece.outline.T
-    area = 0.5 * abs(float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum()))
     label = f" · {piece.panel.label}" if piece.panel.label else ""
     return {
-        "text": f"{piece.panel.name}{label} · {area:.0f} cm²",
+        "text": f"{piece.panel.name}{label} · {abs(signed_area(piece.outline)):.0f} cm²",
         "colour": colour,
         "shift": piece.shift.round(4).tolist(),
         "turn": Rotation.from_matrix(piece.panel.placement.matrix).as_rotvec().round(6).tolist(),
@@ -264,14 +258,8 @@ def _coordinates(points: Float[np.ndarray, "n k"]) -> dict[str, Any]:
     return {**_packed(np.round((points - low) / step).astype(int)), "low": low.tolist(), "step": step}
 
 
-def _packed_faces(body: Body) -> dict[str, Any]:
-    """The faces of a body; all bodies of a model share them."""
-    faces = np.ascontiguousarray(body.faces, np.int32)
-    return _packed_once(faces.tobytes())
-
-
-@lru_cache(KEPT_MESHES)
-def _packed_once(faces: bytes) -> dict[str, Any]:
+@lru_cache(KEPT_MESHES)  # all bodies of a model share their faces
+def _packed_faces(faces: bytes) -> dict[str, Any]:
     return _packed(np.frombuffer(faces, np.int32).reshape(-1, 3))
 
 

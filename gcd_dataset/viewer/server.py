@@ -31,13 +31,14 @@ from gcd_dataset.viewer.notebook import asset, inline_svg, script_data
 from gcd_dataset.viewer.page import page_of
 
 if TYPE_CHECKING:
-    from gcd_dataset.viewer.design_desk import Control, Desk
+    from gcd_dataset.viewer.design_desk import Desk
 
 KEPT_PAGES = 16
 LARGEST_BODY = 1_000_000  # bytes of a request
 LARGEST_DRAINED = 16 * LARGEST_BODY  # bytes read of a request that is refused for its length
 LONGEST_WAIT = 1.0  # s that the reading of tags, and the end, wait for pages
 HOST = "127.0.0.1"
+LOCAL = (HOST, "localhost")
 REFUSAL = "no token: open the address that gcd show printed, and allow its cookie"
 JSON, HTML = "application/json", "text/html; charset=utf-8"
 POLICY = (
@@ -189,9 +190,9 @@ class ShownDesign:
         from gcd_dataset.viewer.design_desk import controls, measure_controls
 
         if path == "/":
-            shown = [_control(one) for one in controls(self._desk.start)]
-            measures = [_control(one) for one in measure_controls(self._desk.size)]
-            return _html("design.html", "Design", {"parameters": shown, "measures": measures})
+            groups = {"parameters": controls(self._desk.start), "measures": measure_controls(self._desk.size)}
+            given = {name: [asdict(one) | {"section": one.section} for one in group] for name, group in groups.items()}
+            return _html("design.html", "Design", given)
         raise ConfigError(f"no page {path!r:.80}")
 
     def post(self, path: str, given: Mapping[str, Any]) -> Answer:
@@ -313,7 +314,9 @@ def _handler(site: Gallery | ShownDesign, host: str, token: str) -> type[BaseHTT
             given = [f"{name}={query.pop('token', '')}", *self.headers.get("Cookie", "").split("; ")]
             has_token = any(secrets.compare_digest(one.encode(), f"{name}={token}".encode()) for one in given)
             # Else another user, or a foreign page whose name resolves to this machine.
-            is_own = has_token and _is_own(self.headers.get("Host", ""), host)
+            named = self.headers.get("Host", "")
+            is_here = (named.rpartition(":")[0] or named) in LOCAL
+            is_own = has_token and (is_here or host not in LOCAL)
             try:
                 status, kind, content = made(url.path, query) if is_own else _failed(HTTPStatus.FORBIDDEN, REFUSAL)
             except Exception as error:  # noqa: BLE001 -- the page shows it, the server goes on
@@ -329,11 +332,6 @@ def _handler(site: Gallery | ShownDesign, host: str, token: str) -> type[BaseHTT
             self.wfile.write(content)
 
     return Handler
-
-
-def _is_own(header: str, host: str) -> bool:
-    name = header.rpartition(":")[0] or header
-    return host not in (HOST, "localhost") or name in (HOST, "localhost")
 
 
 def _failed(status: HTTPStatus, text: str) -> Answer:
@@ -364,7 +362,3 @@ def _number(query: Mapping[str, str], name: str) -> int:
     if not digits.isdecimal() or len(digits) > 12:
         raise ConfigError(f"{name}={text:.40}: give a whole number")
     return int(text)
-
-
-def _control(one: "Control") -> dict[str, Any]:
-    return {**asdict(one), "section": one.section}

@@ -35,12 +35,4 @@ __all__ = [
     "write_measurements",
 ]
 
-_NAMES_OF_MODULE = {
-    "by_name": ("named_body",),
-    "shape_fit": ("FittedShape", "fit_shape"),
-    "measuring": ("measure",),
-    "mesh_bodies": ("read_body",),
-    "shape": ("build_body", "draw_shape", "female_shape", "male_shape", "named_shape", "neutral_shape"),
-}
-
-__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)
+__getattr__, __dir__ = lazy_names(__name__)

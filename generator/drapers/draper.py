@@ -10,7 +10,6 @@ from jaxtyping import UInt8
 
 from gcd_dataset.generator.views import RenderedView, ViewRequest, finished_view, requested_scene, requested_views
 from gcd_dataset.records import Drape
-from gcd_dataset.waits import Waits, record_wait
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
@@ -42,8 +41,6 @@ class DrapeReply:
     """Front and back."""
     seconds: float = 0.0
     """Time of the batch divided by its garments; 0 from a draper that several processes share."""
-    waits: Waits = field(default_factory=dict)
-    """How long the draping process has waited for requests since its last reply, by device."""
     views: tuple[RenderedView, ...] = ()
     """The drawn views; none of a diverged drape."""
 
@@ -182,8 +179,6 @@ class _Dispatcher:
         """Wait for one reply; finish its task if that was the last."""
         assert self._draper is not None  # tasks without jobs are never waited for
         reply = self._draper.receive()
-        for name, wait in reply.waits.items():
-            record_wait(name, wait)
         task, job = self._job_of.pop(reply.number)
         task.replies[job] = reply
         try:

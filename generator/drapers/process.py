@@ -16,8 +16,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
-from functools import partial
 from multiprocessing.connection import Connection, Listener
 from pathlib import Path
 from queue import SimpleQueue
@@ -29,7 +27,6 @@ from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drapers.address import DRAPERS_PER_GPU, READY, owner_file, receive_object, socket_file
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
 from gcd_dataset.generator.drapers.pictures import PictureQueue
-from gcd_dataset.waits import WaitClock
 
 CONFIG = DrapeConfig()
 
@@ -111,7 +108,6 @@ class RequestQueue:
         self._connections: set[ClientConnection] = set()
         self._draping: dict[int, tuple[ClientConnection, DrapeRequest]] = {}
         """Client and request of each garment in the batch, by the number of its job."""
-        self._clock = WaitClock()
 
     def put(self, client: ClientConnection, request: DrapeRequest) -> None:
         """Prepare the job in the calling thread, and add the request; a retry goes first."""
@@ -139,10 +135,8 @@ class RequestQueue:
 
     def drape(self, device: str) -> None:
         """Wait for a request, then drape until no request is left."""
-        begin = time.perf_counter()
         with self._arrived:
             self._arrived.wait_for(lambda: bool(self._waiting))
-        self._clock.add_idle(time.perf_counter() - begin)
         pictures = PictureQueue(device)
         drapes = drape_unordered(
             self._jobs(),
@@ -155,12 +149,8 @@ class RequestQueue:
         for number, drape in drapes:
             client, request = self._draping.pop(number)
             if client.connected:
-                pictures.add(request, drape, partial(self._reply, client, device))
+                pictures.add(request, drape, client.reply)
         pictures.flush()
-
-    def _reply(self, client: ClientConnection, device: str, reply: DrapeReply) -> None:
-        """Send a reply, with the time that this process has waited since the last one."""
-        client.reply(replace(reply, waits={device: self._clock.lap()}))
 
     def _jobs(self) -> Iterator[DrapeJob | PreparedJob | None]:
         """The jobs of waiting requests, without end; ``None`` whenever no request waits."""

@@ -125,46 +125,4 @@ __all__ = [
     "start_pictures",
 ]
 
-_NAMES_OF_MODULE = {
-    "sketches": ("FLAT", "HAND", "SketchStyle", "sketch", "sketch_camera"),
-    "scans": (
-        "KINECT",
-        "NOISELESS",
-        "DepthNoise",
-        "PointScan",
-        "ScanRanges",
-        "draw_scan_cameras",
-        "scan",
-        "scan_cameras",
-    ),
-    "appearance": (
-        "Appearance",
-        "ClothLook",
-        "Hair",
-        "Print",
-        "PrintKind",
-        "Skin",
-        "Stitching",
-        "Underwear",
-        "Weave",
-        "WeaveKind",
-    ),
-    "cameras": ("Camera", "CameraRanges", "draw_camera", "fixed_camera", "look_at"),
-    "casting": ("PendingPictures", "render", "start_pictures"),
-    "materials": ("AppearanceRanges", "draw_appearance"),
-    "environment": (
-        "Environment",
-        "EnvironmentKind",
-        "EnvironmentRanges",
-        "LightRanges",
-        "Lights",
-        "draw_environment",
-        "draw_lights",
-    ),
-    "images": ("read_picture",),
-    "pictures": ("MAPS", "Picture", "Ranges", "View", "draw_hair", "draw_view", "draw_views"),
-    "plain": ("garment_scene", "render_garment", "render_sample", "render_view"),
-    "scene": ("HairStyle", "Scene", "scene_of", "scene_of_sample"),
-}
-
-__getattr__, __dir__ = lazy_names(__name__, _NAMES_OF_MODULE)
+__getattr__, __dir__ = lazy_names(__name__)

@@ -1,9 +1,10 @@
 """``gcd export`` of one garment or pattern."""
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import trimesh
@@ -56,7 +57,7 @@ def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_pat
     scene = trimesh.load(tmp_path / "a.glb")
     assert scene.metadata["gcd"]["tile_cm"] == 4.0
     assert "body" not in scene.geometry
-    assert run("export", shards, "--index", "1", "--pdf", tmp_path / "a.pdf", "--paper", "letter") == 0
+    assert run("export", spec, "--pdf", tmp_path / "a.pdf", "--paper", "letter") == 0
     assert float(PdfReader(tmp_path / "a.pdf").pages[0].mediabox.width) == pytest.approx(612, abs=0.1)
     assert run("export", spec, "--dxf", tmp_path / "a.dxf", "--seam-allowance", "0.5") == 0
     [cut] = read_dxf(tmp_path / "a.dxf")["one"].of("1", "POLYLINE")
@@ -83,7 +84,7 @@ def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_pat
         ),
         (["SHARDS", "--ply", "a.ply", "--no-body"], 2, "--no-body is for --glb, --obj, --usd: leave it out"),
         (["SHARDS", "--pdf", "a.pdf", "--paper", "a"], 2, "no paper a: choose from a4, letter"),
-        (["SHARDS", "--pdf", "no/such/a.pdf"], 1, "no/such/a.pdf: cannot be written"),
+        (["SPEC", "--pdf", "no/such/a.pdf"], 1, "no/such/a.pdf: cannot be written"),
         (["SPEC", "--usd", "a.glb"], 2, "a.glb: the file is USD: end its name in .usd"),
         (["SPEC", "SPEC", "--glb", "a.glb"], 2, "--glb a.glb: 2 files are exported: give a folder"),
         (["SHARDS", "SHARDS", "--glb", "a.glb"], 2, "2 inputs: give one data set, or specification files"),
@@ -132,7 +133,13 @@ def test_a_specification_is_draped_on_the_neutral_body(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As ``gcd drape --glb`` writes it: a node, texture coordinates and a material for each panel."""
-    monkeypatch.setattr(fitting, "drape_patterns", partial(fitting.drape_patterns, resolution=6.0, device="cpu"))
+    drape, drapes = fitting.drape_patterns, list[Any]()
+
+    def once(patterns: Any, wearer: Any, **options: Any) -> Iterator[Any]:
+        drapes.extend(drapes or drape(patterns, wearer, resolution=6.0, device="cpu"))
+        return iter(drapes[:1])
+
+    monkeypatch.setattr(fitting, "drape_patterns", once)
     write_pattern(make(0, 0, MakeConfig(stage="pattern", design=SKIRTS)).pattern, tmp_path / "a.json")
     assert run("export", tmp_path / "a.json", "--glb", tmp_path / "a.glb") == 0, capsys.readouterr().err
     words = ("--resolution", "6", "--device", "cpu", "--quiet", "--glb", "--out", tmp_path / "draped")

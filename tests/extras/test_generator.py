@@ -14,7 +14,7 @@ from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.recipes import find_recipe
 from gcd_dataset.generator.recipes.hashing import made_patterns
 from gcd_dataset.patternhash import PatternHash
-from tests.test_cli import FLAT, of_session, wait_for_end_of, wait_for_samples
+from tests.extras.test_cli_processes import FLAT, of_session, wait_for_end_of, wait_for_samples
 
 SCRIPT = """
 from gcd_dataset.generator import MakeConfig, produce

@@ -26,11 +26,9 @@ DISPLAYED = {
 }
 """Expression to the number of pictures that it displays."""
 BAR = """
-from gcd_dataset.cli.bar import Bar
+from gcd_dataset.cli.common import Bar
 from gcd_dataset.making.progress import Progress
-with Bar("garment", quiet=False) as bar:
-    bar.show(Progress(8, 0))
-    bar.show(Progress(8, 0, made=8))
+Bar("garment", quiet=False).run(lambda on_progress: [on_progress(Progress(8, 0, made=made)) for made in (0, 8)])
 """
 
 

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.records import Body
 from gcd_dataset.loaders import GeneratedGarments
+from gcd_dataset.records import Body
 from tests.generator.body.test_population import require_the_surveys_statistics
 from tests.helpers import body_from
 from tools.body_model.anny_bodies import rotation_between

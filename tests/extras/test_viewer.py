@@ -211,7 +211,7 @@ def test_kinds_of_a_remote_data_set_are_read_in_parts(
         hub.static |= {f"set/{path.relative_to(garments)}": path.read_bytes() for path in files}
         url = f"{hub.endpoint}/files/set"
         reader = ShardReader(open_store(url, Remote(cache_dir=tmp_path)))
-        with opened(browser, Gallery(ShardAlbum(reader, url, tmp_path))) as page:
+        with opened(browser, Gallery(ShardAlbum(reader, url))) as page:
             expect = sync_api.expect
             assert heading(page) == "gcd_000000000"
             expect(page.locator("#kind option").first).to_have_text("All kinds (2 of 5 read)")

@@ -12,16 +12,15 @@ from unittest.mock import Mock
 import pytest
 
 from gcd_dataset import generate, generate_people
-from gcd_dataset.cli.bar import postfix
+from gcd_dataset.cli.common import postfix
 from gcd_dataset.errors import GcdError, OutputError
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.making import log
 from gcd_dataset.making.progress import Pace, Progress, ignore_progress
 from gcd_dataset.shards.layout import recipe_hash
-from gcd_dataset.waits import Wait, Waits
 
 FLAT = MakeConfig(stage="pattern")
-FIGURES = {"count", "there", "made", "rate", "left_s", "outcomes", "rejects", "waits", "rss_mb"}
+FIGURES = {"count", "there", "made", "rate", "left_s", "outcomes", "rejects", "rss_mb"}
 
 
 def lines(path: Path) -> list[dict[str, Any]]:
@@ -41,7 +40,6 @@ def test_a_log_has_begin_progress_and_end(tmp_path: Path, monkeypatch: pytest.Mo
     assert all(set(line) == {"event", "time"} | FIGURES for line in progress)
     assert set(end) == {"event", "time", "seconds"} | FIGURES
     assert (end["event"], end["count"], end["made"]) == ("end", 5, 5)
-    assert 0 < end["waits"]["writer"] <= 1
     assert end["rss_mb"] > 10
 
 
@@ -91,35 +89,29 @@ def test_two_runs_may_share_a_log(tmp_path: Path) -> None:
     assert [line["event"] for line in lines(path)] == ["begin", "begin", "end", "end"]
 
 
-def paced(steps: Sequence[tuple[float, Waits]], count: int = 10_000) -> Progress:
-    """The progress after one sample for each step, given as (seconds, waits)."""
+def paced(steps: Sequence[float], count: int = 10_000) -> Progress:
+    """The progress after one sample for each step, given in seconds."""
     clock = SimpleNamespace(now=100.0)
     pace, progress = Pace(lambda: clock.now), Progress(count, 0)
-    for seconds, waits in steps:
+    for seconds in steps:
         clock.now += seconds
-        progress = pace.of(progress.with_made(), waits)
+        progress = pace.of(progress.with_made())
     assert len(pace._marks) <= 62  # for any number of samples
     return progress
 
 
-def test_rate_and_waits_are_those_of_the_last_minute() -> None:
-    slow: list[tuple[float, Waits]] = [(1.0, {})] * 200
-    fast: list[tuple[float, Waits]] = [(0.1, {})] * 700
-    progress = paced(slow + fast)
+def test_the_rate_is_that_of_the_last_minute() -> None:
+    progress = paced([1.0] * 200 + [0.1] * 700)
     assert progress.rate == pytest.approx(10.0)
     assert progress.left_s == pytest.approx((10_000 - 900) / 10.0)
-    assert paced([(5.0, {})] * 4).rate == pytest.approx(0.2)  # a run of less than a minute
-    assert paced([(1.0, {})] * 3, count=3).left_s == 0.0
-    first = paced([(0.0, {})])
+    assert paced([5.0] * 4).rate == pytest.approx(0.2)  # a run of less than a minute
+    assert paced([1.0] * 3, count=3).left_s == 0.0
+    first = paced([0.0])
     assert (first.rate, first.left_s) == (None, None)
-    waiting, busy = {"writer": Wait(1.0, 1.0)}, {"writer": Wait(0.25, 1.0)}
-    assert paced([(1.0, waiting)] * 300 + [(1.0, busy)] * 70).waits == {"writer": pytest.approx(0.25)}
 
 
-def test_the_bar_names_outcomes_waits_and_the_most_frequent_rules() -> None:
+def test_the_bar_names_outcomes_and_the_most_frequent_rules() -> None:
     rejects = Counter({"too_heavy": 7, "short_edge": 3, "sharp_corner": 2, "drape": 1})
     outcomes = Counter({"SETTLED": 90, "NOT_SETTLED": 2})
-    progress = Progress(100, 0, made=92, rejects=rejects, outcomes=outcomes, waits={"cuda:0": 0.123, "writer": 0.6})
-    assert postfix(progress) == (
-        "not_settled 2, waits: cuda:0 12% writer 60%, rejected 13 (too_heavy 7, short_edge 3, sharp_corner 2, …)"
-    )
+    progress = Progress(100, 0, made=92, rejects=rejects, outcomes=outcomes)
+    assert postfix(progress) == "not_settled 2, rejected 13 (too_heavy 7, short_edge 3, sharp_corner 2, …)"

@@ -71,11 +71,10 @@ def publish(folder: Path) -> Path:
     return folder / RELEASE
 
 
-def pack(root: Path, *, packed: bool = True) -> Path:
+def pack(root: Path) -> Path:
     """Pack the garments of each batch into an archive, as in the download."""
     for data in root.glob("*/*/data"):
-        archive = data.parent / ("data.tar.gz" if packed else "data.tar")
-        with tarfile.open(archive, "w:gz" if packed else "w") as tar:
+        with tarfile.open(data.parent / "data.tar.gz", "w:gz") as tar:
             tar.add(data, "data")
         remove(data)
     return root

@@ -22,9 +22,10 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.loaders import PublishedGarmentCodeData
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import EdgeRef, Grade, Outcome
+from gcd_dataset.records import Drape, EdgeRef, Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.spec import write_pattern
+from gcd_dataset.viewer import garments
 from gcd_dataset.viewer.garments import Filter, PublishedAlbum, ShardAlbum, published_content, spec_album
 from tests.release.published import BATCH, TRAIN, publish
 
@@ -109,21 +110,44 @@ def test_reading_stops_when_the_album_is_closed(album: ShardAlbum) -> None:
     assert album.known == 0
 
 
+def test_tags_are_read_in_parts_and_a_call_before_each_sees_what_is_known(
+    album: ShardAlbum, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(garments, "CHUNK", 2)
+    monkeypatch.setattr(garments, "REQUESTED", 3)
+    album.waits, known = True, list[int]()
+    for _ in range(3):
+        album.read_tags(lambda: known.append(album.known))
+        assert sum(album.facets().kinds.values()) == album.known
+    assert known == [0, 2, 3, 5]
+
+
+def test_a_damaged_garment_has_no_tags_and_the_others_do(folder: Path, tmp_path: Path) -> None:
+    album = ShardAlbum(ShardReader(Path(shutil.copytree(folder, tmp_path / "copy"))), "shards")
+    (shard,) = (tmp_path / "copy").glob("*.tar")
+    content = bytearray(shard.read_bytes())
+    content[int(album._reader.index.start[2]) + 700] ^= 1  # in its meta.json
+    shard.write_bytes(content)
+    album.read_tags()
+    assert (album.known, album.facets().kinds) == (COUNT, {"dress": 3, "skirt": 2})
+
+
 def test_a_picture_is_the_stored_front_or_the_drape_rendered_or_the_pattern(tmp_path: Path) -> None:
-    made = make(3, 0, MakeConfig(bodies="neutral", resolution=8.0, picture=8, device="cpu", design=SHORT))
-    assert made.drape is not None and made.box_mesh is not None
-    bare = replace(made, front=None, back=None)
-    lost = replace(made.drape, vertices=np.full_like(made.drape.vertices, np.nan))
+    made = make(3, 0, MakeConfig(bodies="neutral", stage="mesh", resolution=8.0, design=SHORT))
+    assert made.box_mesh is not None
+    drape = Drape(made.box_mesh.vertices, Outcome.SETTLED, 10, 0, 0, 1.0, 1.0)
+    bare = replace(made, drape=drape)
+    lost = replace(drape, vertices=np.full_like(drape.vertices, np.nan))
     white = jpeg_bytes(np.full((8, 8, 3), 255, np.uint8))
     with ShardWriter(tmp_path, seed=0, recipe={}) as writer:
-        for index, sample in enumerate([replace(made, front=white), bare, replace(bare, drape=lost)]):
+        for index, sample in enumerate([replace(bare, front=white), bare, replace(bare, drape=lost)]):
             writer.write(replace(sample, provenance=replace(made.provenance, index=index)))
     album = ShardAlbum(ShardReader(tmp_path), "shards")
     stored, rendered, drawn = (album.picture(position, 64) for position in range(3))
     assert (stored > 250).all()
     assert np.array_equal(drawn, draw_pattern(made.pattern, size=64))
     body, _, _ = named_body("neutral")
-    front, _ = render_garment(made.drape.vertices, made.box_mesh, body, size=64, device="cpu")
+    front, _ = render_garment(drape.vertices, made.box_mesh, body, size=64, device="cpu")
     assert np.abs(rendered.astype(int) - front).mean() < 1
 
 

@@ -42,9 +42,9 @@ def test_two_sheets_that_cross_are_marked_along_the_line_where_they_meet() -> No
 def test_crossings_of_faces_of_all_sizes_are_those_of_all_pairs() -> None:
     """Triangles of 0.02 to 20 cm, against a search over all pairs with the volumes of tetrahedra."""
     random = np.random.default_rng(5)
-    size = 0.02 * 1000.0 ** random.random((80, 1, 1))
-    vertices = (random.uniform(0, 8, (80, 1, 3)) + size * random.normal(size=(80, 3, 3))).reshape(-1, 3)
-    faces = np.arange(240).reshape(-1, 3)
+    size = 0.02 * 1000.0 ** random.random((50, 1, 1))
+    vertices = (random.uniform(0, 7, (50, 1, 3)) + size * random.normal(size=(50, 3, 3))).reshape(-1, 3)
+    faces = np.arange(150).reshape(-1, 3)
     expected = set()
     for edge in faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2):
         for face in faces:
@@ -55,7 +55,7 @@ def test_crossings_of_faces_of_all_sizes_are_those_of_all_pairs() -> None:
             turns = {bool(np.linalg.det([q - p, x - p, y - p]) > 0) for x, y in ((a, b), (b, c), (c, a))}
             if sides[0] != sides[1] and len(turns) == 1:
                 expected |= set(edge.tolist())
-    assert len(expected) > 50
+    assert len(expected) > 20
     assert set(crossing_vertices(vertices, faces).tolist()) == expected
 
 

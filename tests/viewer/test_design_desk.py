@@ -8,6 +8,7 @@ import pytest
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments.design import read_design
 from gcd_dataset.records import Outcome
+from gcd_dataset.viewer import design_desk
 from gcd_dataset.viewer.design_desk import Desk, controls, measure_controls
 
 
@@ -81,7 +82,8 @@ def test_a_saved_design_is_read_back(desk: Desk, tmp_path: Path) -> None:
     assert read_design(path).flare_skirt.length == pytest.approx(0.31)
 
 
-def test_a_design_is_draped_on_request(desk: Desk) -> None:
+def test_a_design_is_draped_on_request(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(design_desk, "COARSE", 6.0)
     content = desk.draped(values(desk), {})
     assert content.outcome is Outcome.SETTLED
     assert content.draped is not None and np.isfinite(content.draped).all()

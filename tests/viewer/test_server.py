@@ -12,6 +12,7 @@ from http.server import ThreadingHTTPServer
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 
 from gcd_dataset.errors import ConfigError
@@ -64,6 +65,7 @@ class Observed(Album):
     """Three empty pages; it tells which one is made."""
 
     title = "observed"
+    known = 3
 
     def __init__(self) -> None:
         self.made: queue.Queue[int] = queue.Queue()
@@ -77,6 +79,9 @@ class Observed(Album):
     def page(self, position: int, side: int = 0) -> str:
         self.made.put(position)
         return ""
+
+    def picture(self, position: int, size: int) -> np.ndarray:
+        raise NotImplementedError
 
 
 def test_the_first_page_and_the_next_are_made_before_a_request() -> None:
