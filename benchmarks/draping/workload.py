@@ -180,7 +180,7 @@ def _unfit(design: GarmentDesign, size: Measurements) -> str:
     if garment_length(size, design, frozenset()) > size.height - size.head_l + FLOOR_SLACK:
         return "too long"
     try:
-        faults = check_pattern(outfit(size, design, mends=frozenset()))
+        faults = check_pattern(draw_garment(size, design, mends=frozenset()))
     except PatternError:
         return "cannot be drawn"
     return "crosses itself" if any(fault.rule is Rule.SELF_CROSSING for fault in faults) else ""

@@ -19,14 +19,13 @@ from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
-from gcd_dataset.generator.drapers.draper import in_order
+from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.garments import Reject, attempted_design, design_from_dict, garment_tags
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.pipeline import build_pattern, fit, sample_key
 from gcd_dataset.generator.recipe import MakeConfig, devices_of, recipe_of
-from gcd_dataset.making.tasks import Work
 from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Pattern, Sample
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.codec import encode_sample
@@ -408,13 +407,13 @@ def test_a_failure_waits_for_the_results_before_it() -> None:
 
     backwards = Mock(at_once=4, send=begun.append, poll=lambda: False, receive=receive)
 
-    def piece(number: int) -> Work[int]:
+    def piece(number: int) -> DrapeWork[int]:
         def finish(_: Sequence[DrapeReply]) -> int:
             if number == 2:
                 raise PatternError("piece 2")
             return number
 
-        return Work([None], finish)  # type: ignore[list-item]
+        return DrapeWork([None], finish)  # type: ignore[list-item]
 
     made: list[int] = []
     with pytest.raises(PatternError, match="piece 2"):

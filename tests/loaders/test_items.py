@@ -474,7 +474,7 @@ def test_a_tilde_is_the_home_folder(
     if opener == "people":
         people_in_shards(tmp_path / "people", range(2))
     if opener == "published people":
-        publish(tmp_path / "few", [fake_person(0), fake_person(1)], MESH)
+        publish_people(tmp_path / "few", [fake_person(0), fake_person(1)], MESH)
     if opener == "published garments":
         published(tmp_path / "release")
     assert len(OPENED[opener]())

@@ -284,7 +284,7 @@ def test_parameters_without_effect_change_no_pattern(name: str) -> None:
     row = row_of(design_from_dict(DESIGNS[name]))
 
     def pattern_text(codes: np.ndarray) -> str:
-        pattern = outfit(size, decode_design(codes))
+        pattern = draw_garment(size, decode_design(codes))
         return repr((pattern.panels, pattern.seams))
 
     truth = pattern_text(row)
@@ -299,11 +299,11 @@ def test_parameters_without_effect_change_no_pattern(name: str) -> None:
 def test_parameters_with_effect_change_the_pattern(name: str) -> None:
     size = measure(build_body(neutral_shape()))
     row = row_of(design_from_dict(DESIGNS[name]))
-    truth = outfit(size, decode_design(row)).panels
+    truth = draw_garment(size, decode_design(row)).panels
     unchanged = []
     for path, other in changed_rows(row, effective=True):
         try:
-            unchanged += [path] if repr(outfit(size, decode_design(other)).panels) == repr(truth) else []
+            unchanged += [path] if repr(draw_garment(size, decode_design(other)).panels) == repr(truth) else []
         except PatternError:  # an ornament, which is not pattern_text
             assert path == "pencil-skirt.style_side_cut"
     assert not unchanged
