@@ -42,8 +42,8 @@ __all__ = [
     "Rejected",
     "Sample",
     "Seam",
+    "StoredView",
     "Strain",
-    "View",
     "role_of",
 ]
 
@@ -464,7 +464,7 @@ class NamedFabric:
 
 
 @dataclass(frozen=True)
-class View:
+class StoredView:
     """A picture of a garment, with its camera, light and materials."""
 
     picture: bytes
@@ -504,7 +504,7 @@ class Sample(Record):
     """The tailor's names for the style, words of ``gcd_dataset.generator.garments.TAGS``; empty if unknown."""
     caption: str | None = None
     """The garment in English, see ``gcd_dataset.captions``; either all samples of a data set have one, or none."""
-    views: tuple[View, ...] = ()
+    views: tuple[StoredView, ...] = ()
     """Further pictures; the same number for every sample of a data set."""
 
     def _repr_html_(self) -> str:

@@ -37,7 +37,7 @@ from gcd_dataset.records import (
     Provenance,
     Rejected,
     Sample,
-    View,
+    StoredView,
 )
 from gcd_dataset.seeding import Stage, rng
 
@@ -287,9 +287,9 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         vertices = mesh.vertices if reply is None else reply.drape.vertices
         points = sample_surface(vertices, mesh.faces, config.points, rng(design.seed, index, Stage.POINTS))
     drape, caption = None, None
-    views: tuple[View, ...] = ()
+    views: tuple[StoredView, ...] = ()
     if reply is not None:
-        views = tuple(View(jpeg_bytes(view.rgb), view.facts) for view in reply.views)
+        views = tuple(StoredView(jpeg_bytes(view.rgb), view.facts) for view in reply.views)
         if not views and not np.isfinite(reply.drape.vertices).all():
             views = config.views * (MISSING_VIEW,)  # every sample has the same members
     if reply is not None and mesh is not None:

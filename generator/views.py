@@ -13,8 +13,7 @@ from jaxtyping import Float, UInt8
 
 from gcd_dataset.generator.body import build_body
 from gcd_dataset.generator.render.scene import HairStyle, Scene, scene_of
-from gcd_dataset.records import POSITION_STEP, UV_STEP, Body, BodyShape, BoxMesh, Pattern, as_stored
-from gcd_dataset.records import View as StoredView
+from gcd_dataset.records import POSITION_STEP, UV_STEP, Body, BodyShape, BoxMesh, Pattern, StoredView, as_stored
 from gcd_dataset.shards.layout import recipe_hash
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ of the loss.
 Choices come first. Numbers and measures are predicted conditioned on the choices (teacher forcing in training): a skirt
 has another length with a waistband than without, and their mean would fit neither.
 
-Every answer can be sewn. Upper, waistband and bottom are chosen together, as the likeliest of the outfits that exist.
+Every answer can be sewn. Upper, waistband and bottom are chosen together, as the likeliest combination that exists.
 Numbers are moved into their ranges. A design that cannot be drawn for the predicted measures is repaired as random
 designs are (``wearable``), and if that fails its numbers become defaults.
 """
@@ -258,7 +258,7 @@ _TABLE = Table.of([leaf.space for leaf in PARAMETERS])
 
 
 def _outfits() -> Int[Tensor, "c 3"]:
-    """Rows of the options of upper, waistband and bottom of all outfits that exist."""
+    """Rows of the options of upper, waistband and bottom of all combinations that exist."""
     spaces = [cast(Choice, PARAMETERS[row].space) for row in META]
     uppers, bands, bottoms = (options_of(space) for space in spaces)
     found = [

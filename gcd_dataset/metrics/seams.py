@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.metrics.matching import PanelPair, matched_edges
-from gcd_dataset.metrics.shapes import Outline, OutlineMap, PanelShape
+from gcd_dataset.metrics.shapes import OutlineMap, PanelShape, SampledOutline
 from gcd_dataset.records import EdgeRef, Pattern
 
 NEAR = 2.0  # cm: the partner of a point is right within this distance along the outline
@@ -76,7 +76,7 @@ def sewn_pieces(pattern: Pattern, shapes: Mapping[str, PanelShape]) -> list[Sewn
 
     Seams to a missing edge, or to a panel without a shape, are left out.
     """
-    outlines = {name: Outline.of(shape) for name, shape in shapes.items()}
+    outlines = {name: SampledOutline.of(shape) for name, shape in shapes.items()}
     edges = {EdgeRef(name, row): ends for name, outline in outlines.items() for row, ends in enumerate(outline.ends)}
     seams = [seam for seam in pattern.seams if seam.left in edges and seam.right in edges]
     uses: dict[EdgeRef, list[tuple[int, EdgeRef]]] = defaultdict(list)
@@ -135,7 +135,7 @@ def seam_lengths_score(
     subdivided at each other's interval ends. A piece is right if the other pattern sews its two ends to the same points
     of the same outline, within ``NEAR``, in the same direction. Each seam weighs with the mean length of its sides.
     """
-    lengths = {name: Outline.of(shape).length for name, shape in true_shapes.items()}
+    lengths = {name: SampledOutline.of(shape).length for name, shape in true_shapes.items()}
     wanted = sewn_pieces(true, true_shapes)
     found, foreign = _carried(sewn_pieces(predicted, predicted_shapes), pairs)
     drawn = {EdgeRef(name, i) for name, shape in predicted_shapes.items() for i in range(len(shape.panel.edges))}
@@ -154,7 +154,7 @@ def _carried(pieces: Sequence[SewnPiece], pairs: Sequence[PanelPair]) -> tuple[l
     """The pieces between matched panels, on the true outlines; and the total length of the other pieces [cm]."""
     maps, names, carried, rest = {}, {}, [], 0.0
     for pair in pairs:
-        name, outlines = pair.predicted.panel.name, (Outline.of(pair.predicted), Outline.of(pair.true))
+        name, outlines = pair.predicted.panel.name, (SampledOutline.of(pair.predicted), SampledOutline.of(pair.true))
         if all(outline.length > SHORT for outline in outlines):
             names[name], maps[name] = pair.true.panel.name, OutlineMap.between(*outlines)
     for piece in pieces:

@@ -87,7 +87,7 @@ def shape_or_none(panel: Panel) -> PanelShape | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
+class SampledOutline:
     """Arc lengths along an outline from its first corner, counter-clockwise from the right side of the cloth [cm]."""
 
     ends: Float[np.ndarray, "e 2"]
@@ -97,12 +97,12 @@ class Outline:
     length: float
 
     @staticmethod
-    def of(shape: PanelShape) -> "Outline":
+    def of(shape: PanelShape) -> "SampledOutline":
         """The outline of a panel."""
         lengths = np.array(shape.panel.edge_lengths())
         reached = np.concatenate([[0.0], np.cumsum(lengths)])
         corners = shape.panel.vertices[[edge.start for edge in shape.panel.edges]]
-        return Outline(np.stack([reached[:-1], reached[1:]], axis=1), shape.seen(corners), float(reached[-1]))
+        return SampledOutline(np.stack([reached[:-1], reached[1:]], axis=1), shape.seen(corners), float(reached[-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +114,7 @@ class OutlineMap:
     target: Float[np.ndarray, " a"]
 
     @staticmethod
-    def between(predicted: Outline, true: Outline) -> "OutlineMap":
+    def between(predicted: SampledOutline, true: SampledOutline) -> "OutlineMap":
         """The map that sends the corners of the predicted outline to the true corners near them.
 
         Corners are matched in their cyclic order at least total distance (sequence alignment by dynamic programming). A

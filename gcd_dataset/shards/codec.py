@@ -38,8 +38,8 @@ from gcd_dataset.records import (
     Provenance,
     Rejected,
     Sample,
+    StoredView,
     Strain,
-    View,
     as_stored,
 )
 from gcd_dataset.shards.layout import (
@@ -687,10 +687,10 @@ def _drape(field: Mapping[str, Any]) -> Drape:
     return Drape(**values)
 
 
-def _views(pictures: Mapping[str, bytes], field: Mapping[str, Any]) -> tuple[View, ...]:
+def _views(pictures: Mapping[str, bytes], field: Mapping[str, Any]) -> tuple[StoredView, ...]:
     count = sum(name.startswith("view_") for name in pictures)
     encoded = [pictures[f"view_{number}"] for number in range(count)]
     return tuple(
-        View(b"" if picture == NO_PICTURE else picture, field[f"view_{number}_json"])
+        StoredView(b"" if picture == NO_PICTURE else picture, field[f"view_{number}_json"])
         for number, picture in enumerate(encoded)
     )

@@ -49,7 +49,7 @@ class Drawing:
     faults: tuple[str, ...]
     """Why it cannot be drawn or worn."""
     used: frozenset[str]
-    """Sections of the design that the outfit is drawn from, by their names in design files."""
+    """Sections of the design that the garment is drawn from, by their names in design files."""
 
 
 def controls(design: GarmentDesign | None = None) -> list[Control]:

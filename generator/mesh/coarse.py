@@ -23,7 +23,7 @@ STRAIGHT = np.cos(np.radians(25.0))  # border points where the outline turns by 
 
 
 @dataclass(frozen=True)
-class PanelBorders:
+class PanelLoops:
     """The border of every panel as a closed loop, with its panel on the same side of all segments."""
 
     rows: Int[np.ndarray, " b"]
@@ -34,7 +34,7 @@ class PanelBorders:
     """The panel of each, ascending: one loop for each panel that has faces."""
 
     @staticmethod
-    def of(mesh: BoxMesh) -> "PanelBorders":
+    def of(mesh: BoxMesh) -> "PanelLoops":
         """The borders of a mesh. Raises ``MeshError`` for a panel with a hole or one that touches itself at a point."""
         sides = _border_sides(mesh)
         start, end, panel = mesh.corners.ravel()[sides], _ends(mesh)[sides], mesh.panel_id[sides // 3]
@@ -43,7 +43,7 @@ class PanelBorders:
         if (place[start] != np.arange(len(start))).any() or (place[end] < 0).any():
             raise MeshError("a panel touches itself at a point: it cannot be made coarser")
         order = np.array(list(_walk(mesh, panel, place[end])), int)
-        return PanelBorders(start[order], end[order], panel[order])
+        return PanelLoops(start[order], end[order], panel[order])
 
 
 def _border_sides(mesh: BoxMesh) -> Int[np.ndarray, " b"]:
@@ -91,7 +91,7 @@ class Thinned:
     """Position of the dropped vertex between those two, 0 to 1."""
 
 
-def thin(mesh: BoxMesh, borders: PanelBorders) -> Thinned:
+def thin(mesh: BoxMesh, borders: PanelLoops) -> Thinned:
     """Every second vertex between corners and ends of seams, and these."""
     graph = _Graph.of(mesh, borders)
     path, chain = graph.chains(_corners(mesh, borders))
@@ -113,7 +113,7 @@ def thin(mesh: BoxMesh, borders: PanelBorders) -> Thinned:
     return Thinned(kept, path[np.stack([low, high], axis=1)], path[at], share)
 
 
-def _corners(mesh: BoxMesh, borders: PanelBorders) -> Int[np.ndarray, " k"]:
+def _corners(mesh: BoxMesh, borders: PanelLoops) -> Int[np.ndarray, " k"]:
     """The vertices where an outline turns by more than ``STRAIGHT``."""
     step = mesh.uv[borders.after] - mesh.uv[borders.rows]
     step /= np.linalg.norm(step, axis=1, keepdims=True)
@@ -132,7 +132,7 @@ class _Graph:
     length: Float[np.ndarray, " h"]  # flat lengths [cm]
 
     @staticmethod
-    def of(mesh: BoxMesh, borders: PanelBorders) -> "_Graph":
+    def of(mesh: BoxMesh, borders: PanelLoops) -> "_Graph":
         size = np.int64(len(mesh.vertices))
         start, end = mesh.uv_vertex[borders.rows], mesh.uv_vertex[borders.after]
         length = np.linalg.norm(mesh.uv[borders.after] - mesh.uv[borders.rows], axis=1)
@@ -285,7 +285,7 @@ def coarse_start(mesh: BoxMesh) -> CoarseMesh | None:
 
 def coarsen(mesh: BoxMesh) -> CoarseMesh:
     """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow."""
-    borders = PanelBorders.of(mesh)
+    borders = PanelLoops.of(mesh)
     thinned = thin(mesh, borders)
     return _join(mesh, borders, thinned, _fill(mesh, borders, thinned))
 
@@ -363,7 +363,7 @@ class _Filled:
         return found
 
 
-def _fill(mesh: BoxMesh, borders: PanelBorders, thinned: Thinned) -> _Filled:
+def _fill(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned) -> _Filled:
     """The coarse panels. Raises ``MeshError`` where a panel is too narrow to lose half of its border points."""
     kept = thinned.kept[mesh.uv_vertex[borders.rows]]
     rows = borders.rows[kept]
@@ -395,7 +395,7 @@ def _require_outlines(loops: Loops, names: Sequence[str]) -> None:
 # ---------------------------------------------------------------------------------------------------------------- join
 
 
-def _join(mesh: BoxMesh, borders: PanelBorders, thinned: Thinned, filled: _Filled) -> CoarseMesh:
+def _join(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned, filled: _Filled) -> CoarseMesh:
     """The coarse panels joined along the seams of the fine mesh: kept vertices first, in their order, then seeds."""
     number = np.cumsum(thinned.kept) - 1
     n, count = len(filled.rows), int(thinned.kept.sum())
@@ -454,7 +454,7 @@ def _in_space(
 
 def _interpolation(
     mesh: BoxMesh,
-    borders: PanelBorders,
+    borders: PanelLoops,
     thinned: Thinned,
     filled: _Filled,
     vertex: Int[np.ndarray, " q"],

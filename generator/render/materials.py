@@ -235,7 +235,7 @@ def draw_appearance(
 ) -> Appearance:
     """Materials of a scene: cloth by the name of its fabric (any cloth without one), a print, skin and hair.
 
-    Each garment of an outfit has a cloth of its own; some have a second for their trim or sleeves. Raises
+    The upper part and the bottom each have a cloth of their own; some have a second for their trim or sleeves. Raises
     ``ConfigError`` for ranges that leave nothing to draw from.
     """
     ranges = ranges or AppearanceRanges()

@@ -20,7 +20,7 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.loaders.shards import SplitPart, parse_splits
-from gcd_dataset.records import Grade, Outcome, Sample, View
+from gcd_dataset.records import Grade, Outcome, Sample, StoredView
 from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
 from gcd_dataset.shards.reader import Quality
 from gcd_dataset.shards.tar import samples_in
@@ -252,7 +252,7 @@ def test_pictures_come_from_their_own_tars(tmp_path: Path) -> None:
     with open_writer(tmp_path) as writer:
         for index in range(6):
             sample = fake_sample(0, index)
-            view = View(sample.back or b"", {"camera": {"k": np.eye(3).tolist(), "rt": np.eye(4)[:3].tolist()}})
+            view = StoredView(sample.back or b"", {"camera": {"k": np.eye(3).tolist(), "rt": np.eye(4)[:3].tolist()}})
             writer.write(replace(sample, views=(view,), caption=f"skirt {index}"))
     for fields in (["front"], ["verts", "view_0_json", "caption"], ["view_0"], ["views", "camera_k"], None):
         ds = GarmentDataset(tmp_path, "train[2:]", fields)

@@ -19,7 +19,7 @@ from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.generator.views import MISSING_VIEW
 from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Sample, View
+from gcd_dataset.records import Sample, StoredView
 from gcd_dataset.shards import ShardWriter
 from gcd_dataset.shards.layout import garments_layout
 
@@ -38,7 +38,7 @@ def jpeg(shade: int, size: int = 16) -> bytes:
 
 
 def viewed(index: int, sizes: tuple[int, ...] = (16, 16)) -> Sample:
-    views = (View(jpeg(40 * index + 20 * number, size), facts(number + 1)) for number, size in enumerate(sizes))
+    views = (StoredView(jpeg(40 * index + 20 * number, size), facts(number + 1)) for number, size in enumerate(sizes))
     return replace(fake_sample(0, index), views=tuple(views))
 
 
@@ -72,7 +72,7 @@ def test_views_that_are_no_array_are_reported(tmp_path: Path) -> None:
         GarmentDataset(folder, fields=["views"])[0]
     item: Any = GarmentDataset(folder, fields=["view_1"])[0]
     assert item["view_1"].shape == (3, 24, 24)
-    sample = replace(fake_sample(0, 0), views=(View(jpeg(1), {"fov": 40.0}),))
+    sample = replace(fake_sample(0, 0), views=(StoredView(jpeg(1), {"fov": 40.0}),))
     with pytest.raises(ShardError, match=r"sample gcd_000000000.*view_0\.json: no camera matrix k"):
         GarmentDataset(write(tmp_path / "camera", [sample]), fields=["camera_k"])[0]
     with pytest.raises(ConfigError, match="no field views"):

@@ -26,8 +26,8 @@ from gcd_dataset.records import (
     Outcome,
     Provenance,
     Sample,
+    StoredView,
     Strain,
-    View,
 )
 from gcd_dataset.shards import FIELDS, MEMBERS, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.codec import MESH_CODINGS, spread
@@ -171,7 +171,7 @@ def full(sample: Sample) -> Sample:
         gathers=(1.0, 1.5),
         tags=("skirt", "short"),
         caption="Ein kurzer Rock \u2013 zwei Bahnen",
-        views=(View(sample.front, {"camera": [0.0, 1.0]}), View(sample.front, {"light": {"from": "left"}})),
+        views=(StoredView(sample.front, {"camera": [0.0, 1.0]}), StoredView(sample.front, {"light": {"from": "left"}})),
     )
 
 

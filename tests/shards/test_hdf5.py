@@ -17,7 +17,7 @@ from torch.utils.data import DataLoader
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, Hdf5Garments, collate_list
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import View
+from gcd_dataset.records import StoredView
 from gcd_dataset.shards import FIELDS, ShardReader
 from gcd_dataset.shards.hdf5 import write_hdf5
 from tests.shards.folders import fill, open_writer
@@ -65,7 +65,7 @@ def test_captions_views_and_skipped_stages(tmp_path: Path) -> None:
         with open_writer(tmp_path / name) as writer:
             for index in range(3):
                 camera = {"k": (index * np.eye(3)).tolist(), "rt": np.full((3, 4), 0.5).tolist()}
-                views = tuple(View(fake_sample(0, index + k).front or b"", {"camera": camera}) for k in (0, 5))
+                views = tuple(StoredView(fake_sample(0, index + k).front or b"", {"camera": camera}) for k in (0, 5))
                 optional = {"caption": f"Röckchen {index}", "views": views} if name == "views" else bare
                 writer.write(replace(fake_sample(0, index), **optional))
         list(write_hdf5(ShardReader(tmp_path / name), tmp_path / f"{name}.h5"))

@@ -16,7 +16,7 @@ import webdataset as wds
 from gcd_dataset import decode
 from gcd_dataset.errors import ShardError
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import View
+from gcd_dataset.records import StoredView
 from gcd_dataset.shards import MEMBERS, decode_fields, encode_sample
 from gcd_dataset.shards.body_set import encode_person
 from gcd_dataset.shards.layout import is_picture
@@ -117,7 +117,7 @@ def test_webdataset_decodes_members_and_maps_whole_samples(tars: tuple[Path, Pat
 
 def test_pictures_are_left_to_webdataset(tmp_path: Path) -> None:
     sample = fake_sample(0, 0)
-    view = View(sample.front or b"", {"camera": {"size": [16, 16]}})
+    view = StoredView(sample.front or b"", {"camera": {"size": [16, 16]}})
     tars = write_shard(tmp_path, [replace(sample, caption="a skirt", views=(view,))])
     (pictures,) = wds.WebDataset(str(tars[1]), shardshuffle=False).decode(decode, "rgb8")
     assert pictures["front.jpg"].shape == pictures["view_0.jpg"].shape == (16, 16, 3)

@@ -21,7 +21,7 @@ from gcd_dataset.loaders import (
     collate_padded,
 )
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Panel, Pattern, Sample, View
+from gcd_dataset.records import Panel, Pattern, Sample, StoredView
 from gcd_dataset.shards import BodyWriter
 from gcd_dataset.viewer.notebook import item_html
 from tests.shards.folders import fill
@@ -113,7 +113,7 @@ def test_drawn_pictures_are_displayed(sample: Sample) -> None:
     assert (batch.count("img"), batch.count("svg")) == (2, 0)  # one of each garment
     assert item_html({**garments[0], "views": torch.zeros(3)}).count("<img") == 0  # of another origin
     assert sample.front
-    stored = replace(sample, views=(View(sample.front),) * 2, caption="short\nlong")
+    stored = replace(sample, views=(StoredView(sample.front),) * 2, caption="short\nlong")
     assert displayed(stored).count("img") == 4
     assert "pre-line" in stored._repr_html_()
 

@@ -13,7 +13,7 @@ import pytest
 
 from gcd_dataset.generator.lay_plan import lay_out
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import EdgeRef, Pattern, Sample, Seam, View
+from gcd_dataset.records import EdgeRef, Pattern, Sample, Seam, StoredView
 from gcd_dataset.viewer.content import Content, content_of
 from gcd_dataset.viewer.page import _packed, page_of
 from tests.helpers import far_ball
@@ -127,7 +127,7 @@ def test_texts_of_the_data_are_escaped(sample: Sample) -> None:
 
 def test_stored_views_are_pictures_of_the_page(sample: Sample, content: Content) -> None:
     assert sample.front
-    views = content_of(replace(sample, views=(View(sample.front), View(sample.front)))).views
+    views = content_of(replace(sample, views=(StoredView(sample.front), StoredView(sample.front)))).views
     assert Elements(page_of(replace(content, views=views))).count("img") == 2
     assert Elements(page_of(content)).count("img") == 0
 

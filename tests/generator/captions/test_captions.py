@@ -99,7 +99,7 @@ def test_every_garment_of_the_wardrobe_has_captions(wardrobe: list[Worn]) -> Non
 
 
 @pytest.mark.parametrize("name", OUTFITS)
-def test_the_outfits_of_the_battery_have_captions(name: str) -> None:
+def test_the_designs_of_the_battery_have_captions(name: str) -> None:
     design = design_from_dict(OUTFITS[name])
     texts = captions(WOMAN, design, draw_garment(WOMAN, design))
     assert all(texts.values())
@@ -431,7 +431,7 @@ def test_tags_and_captions_name_what_is_drawn_and_not_what_is_declared(
     agree_with_the_caption(worn, 0)
 
 
-def test_every_outfit_has_one_kind_and_words_of_the_vocabulary(wardrobe: list[Worn]) -> None:
+def test_every_garment_has_one_kind_and_words_of_the_vocabulary(wardrobe: list[Worn]) -> None:
     for worn in wardrobe:
         found = garment_tags(*worn)
         assert set(found) <= set(TAGS)

@@ -371,11 +371,11 @@ def test_every_piece_of_an_outfit_belongs_on_the_body(labels: dict[str, np.ndarr
     """A top that stays up, and a skirt that is not sewn to it and has dropped to the ankles."""
     waist = SIZE.waist_level
     top = replace(tube(36, 3, radius=15.0, spacing=2.0, height=waist + 30.0), labels=labels)
-    outfit = joined(top, tube(36, 20, radius=15.0, spacing=2.0, height=waist - 42.0))
-    job, of_skirt = DrapeJob(outfit, far_ball(), SIZE), np.arange(len(outfit.vertices)) >= len(top.vertices)
-    dropped = outfit.vertices - np.outer(of_skirt, [0.0, 70.0, 0.0])
+    dress = joined(top, tube(36, 20, radius=15.0, spacing=2.0, height=waist - 42.0))
+    job, of_skirt = DrapeJob(dress, far_ball(), SIZE), np.arange(len(dress.vertices)) >= len(top.vertices)
+    dropped = dress.vertices - np.outer(of_skirt, [0.0, 70.0, 0.0])
     dropped[of_skirt, 1] = np.maximum(dropped[of_skirt, 1], 1.0)
-    assert not off_body(job, outfit.vertices)
+    assert not off_body(job, dress.vertices)
     assert off_body(job, dropped)
     assert not fell(job, dropped)
 

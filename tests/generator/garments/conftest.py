@@ -41,7 +41,7 @@ SKIRT = {"upper": None, "bottom": "SkirtCircle"}
 DRESS = {"upper": "Shirt", "bottom": "SkirtCircle"}
 LONG_SLEEVES = {"sleeveless": False, "length": 0.9, "cuff": {"type": "CuffBand", "cuff_len": 0.1}}
 GODETS = {"insert_depth": 10, "insert_w": 10}  # cm: the largest that fit into a doll's skirt
-OUTFITS: dict[str, Mapping[str, Any]] = {
+DESIGNS: dict[str, Mapping[str, Any]] = {
     "shirt": {"meta": SHIRT},
     "sleeveless": {"meta": SHIRT, "sleeve": {"sleeveless": True}, "collar": {"f_collar": "VNeckHalf"}},
     "sleeves": {"meta": SHIRT, "sleeve": {"sleeveless": False}},
@@ -81,7 +81,7 @@ def giant() -> Measurements:
     return WEARERS["giant"]
 
 
-@pytest.fixture(params=OUTFITS)
+@pytest.fixture(params=DESIGNS)
 def design(request: pytest.FixtureRequest) -> GarmentDesign:
     """Each garment of the battery in turn."""
-    return design_from_dict(OUTFITS[request.param])
+    return design_from_dict(DESIGNS[request.param])

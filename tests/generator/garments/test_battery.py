@@ -1,4 +1,4 @@
-"""Properties of every garment of the wardrobe on every wearer; ``conftest.OUTFITS`` lists more designs."""
+"""Properties of every garment of the wardrobe on every wearer; ``conftest.DESIGNS`` lists more designs."""
 
 import json
 import re
@@ -40,7 +40,7 @@ from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 from gcd_dataset.generator.pattern import assemble
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern, Seam
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
-from tests.generator.garments.conftest import OUTFITS, WOMAN
+from tests.generator.garments.conftest import DESIGNS, WOMAN
 from tests.generator.garments.measured import length, lengths, ref_length
 
 FRONT_OR_BACK = re.compile(r"_(front|back|f|b|ftorso|btorso)(?:_|$)")
@@ -71,7 +71,7 @@ def signed_area(panel: Panel) -> float:
 
 
 def test_every_garment_of_the_wardrobe_is_in_the_battery() -> None:
-    designs = [design_from_dict(values).meta for values in OUTFITS.values()]
+    designs = [design_from_dict(values).meta for values in DESIGNS.values()]
     worn = {part.garment.name for meta in designs for part in (meta.upper, meta.bottom) if part is not None}
     assert worn == {garment.name for garment in GARMENTS}
 
@@ -338,9 +338,9 @@ def test_the_neckline_of_capes_and_ponchos_goes_round_the_back_of_the_neck(woman
     assert 0.8 * woman.neck_w < behind < sum(necks.values()) < 2.5 * woman.neck_w
 
 
-@pytest.mark.parametrize("name", OUTFITS)
+@pytest.mark.parametrize("name", DESIGNS)
 def test_only_the_mends_of_its_garments_change_an_outfit(woman: Measurements, name: str) -> None:
-    design = design_from_dict(OUTFITS[name])
+    design = design_from_dict(DESIGNS[name])
     others = ALL_MENDS - design.mends()
     assert draw_garment(woman, design, mends=ALL_MENDS - others) == draw_garment(woman, design)
     assert design.mends() >= {Mend.EXPORT_PIVOT}

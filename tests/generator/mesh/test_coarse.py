@@ -9,7 +9,7 @@ from scipy.spatial import Delaunay
 
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.mesh.coarse import CoarseMesh, PanelBorders, barycentric, coarsen, locate, thin
+from gcd_dataset.generator.mesh.coarse import CoarseMesh, PanelLoops, barycentric, coarsen, locate, thin
 from gcd_dataset.records import BoxMesh, Pattern
 from tests.generator.mesh.shapes import areas, euler_characteristic, panel, rectangle, sewn, sides, tube
 from tests.generator.mesh.test_box_mesh import DART, darted, patchwork
@@ -111,7 +111,7 @@ def test_a_panel_with_a_hole_is_refused() -> None:
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_border_segments_are_the_sides_of_one_face(pattern: Pattern) -> None:
     mesh = build_box_mesh(pattern, spacing=1.0)
-    borders = PanelBorders.of(mesh)
+    borders = PanelLoops.of(mesh)
     sides = mesh.corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
     count = Counter(frozenset(side) for side in sides)
     assert sorted(zip(borders.rows.tolist(), borders.after.tolist(), strict=True)) == sorted(
@@ -125,7 +125,7 @@ def test_border_segments_are_the_sides_of_one_face(pattern: Pattern) -> None:
 def test_dropped_vertices_lie_between_kept_ones(pattern: Pattern) -> None:
     """All outlines here are straight between corners and bends, so the shares give the positions back."""
     mesh = build_box_mesh(pattern, spacing=1.0)
-    borders = PanelBorders.of(mesh)
+    borders = PanelLoops.of(mesh)
     thinned = thin(mesh, borders)
     on_border = np.unique(mesh.uv_vertex[borders.rows])
     assert thinned.kept.sum() + len(thinned.dropped) == len(on_border)
