@@ -31,7 +31,7 @@ from gcd_dataset.generator.garments.drawn import hem_depth
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom
 from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
-from tests.generator.garments.conftest import MAN, OUTFITS, STOUT, WOMAN
+from tests.generator.garments.conftest import DESIGNS, MAN, STOUT, WOMAN
 
 
 class Worn(NamedTuple):
@@ -98,9 +98,9 @@ def test_every_garment_of_the_wardrobe_has_captions(wardrobe: list[Worn]) -> Non
         assert list(each.captions()) == list(LEVELS)
 
 
-@pytest.mark.parametrize("name", OUTFITS)
+@pytest.mark.parametrize("name", DESIGNS)
 def test_the_designs_of_the_battery_have_captions(name: str) -> None:
-    design = design_from_dict(OUTFITS[name])
+    design = design_from_dict(DESIGNS[name])
     texts = captions(WOMAN, design, draw_garment(WOMAN, design))
     assert all(texts.values())
 

@@ -20,7 +20,7 @@ from gcd_dataset.generator.mesh.triangulate import LONGEST
 from gcd_dataset.generator.quality import sample_surface
 from gcd_dataset.records import BoxMesh, Panel, Pattern
 from gcd_dataset.spec import read_pattern
-from tests.generator.garments.conftest import DRESS, OUTFITS, WOMAN
+from tests.generator.garments.conftest import DESIGNS, DRESS, WOMAN
 from tests.generator.mesh.shapes import (
     angles,
     areas,
@@ -276,7 +276,7 @@ def test_a_spacing_that_is_no_length_is_an_error(spacing: float) -> None:
 LAPELS = {"left_collar_front", "right_collar_front"}
 ROUND = {"left_collar_back", "right_collar_back"}
 BATTERY: dict[str, Mapping[str, Any]] = {
-    **OUTFITS,
+    **DESIGNS,
     **{
         f"{upper.value}, {collar.value}, standing {standing}": {
             "meta": DRESS | {"upper": upper.value},
