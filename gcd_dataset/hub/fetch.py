@@ -383,9 +383,13 @@ def fetch(
 @contextlib.contextmanager
 def _claimed(part: Path, files: Files) -> Iterator[None]:
     """Hold the lock of ``part``, made if missing."""
-    while (file := lock_file(part, wait=False)) is None:
-        files.require_wanted(str(part))  # so that Ctrl-C ends the wait
-        time.sleep(LOOK)
+    file = None
+    while file is None:
+        with writing(part):
+            file = lock_file(part, wait=False)
+        if file is None:
+            files.require_wanted(str(part))  # so that Ctrl-C ends the wait
+            time.sleep(LOOK)
     try:
         yield
     finally:

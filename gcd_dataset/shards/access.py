@@ -69,13 +69,26 @@ def writing(path: Path, *, kept: int | None = None) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def adding_to(folder: Path) -> Iterator[None]:
+    """Turn ``OSError`` into ``OutputError`` for a data set's folder that takes no more files."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: cannot be written ({error.strerror}): its samples can be read; to add some, make room and "
+            "allow writing, or choose another folder"
+        ) from error
+
+
+@contextlib.contextmanager
 def locked(path: Path, task: str, *, wait: bool = False) -> Iterator[None]:
     """Hold an ``flock`` on the file ``path`` during the block. The file is removed at the end; a kill frees the lock.
 
     ``task``: the work under the lock, for messages. Raises ``OutputError`` where another process holds the lock, unless
     ``wait`` (caused by ``BlockingIOError``); for a folder that cannot be written; on a file system without locks.
     """
-    file, owner = lock_file(path, wait=wait), os.getpid()
+    with adding_to(path.parent):
+        file, owner = lock_file(path, wait=wait), os.getpid()
     if file is None:
         raise OutputError(
             f"{path.parent}: another process is {task}, or a writer in this process was not closed: wait for it, or "
@@ -95,16 +108,10 @@ def locked(path: Path, task: str, *, wait: bool = False) -> Iterator[None]:
 def lock_file(path: Path, *, wait: bool) -> int | None:
     """The descriptor of a locked file, created if missing; ``None`` if another process holds the lock, unless ``wait``.
 
-    Raises ``OutputError`` for a folder that cannot be written, and on a file system without locks.
+    Raises ``OSError`` for a file that cannot be opened, ``OutputError`` on a file system without locks.
     """
     while True:
-        try:
-            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-        except OSError as error:
-            raise OutputError(
-                f"{path.parent}: cannot be written ({error.strerror}): its samples can be read; to add some, make room "
-                "and allow writing, or choose another folder"
-            ) from error
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         try:
             fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
             with contextlib.suppress(FileNotFoundError):
