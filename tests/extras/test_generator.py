@@ -7,14 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from gcd_dataset.cli import main
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator import MakeConfig, produce
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.recipes import find_recipe
 from gcd_dataset.generator.recipes.hashing import made_patterns
 from gcd_dataset.patternhash import PatternHash
-from tests.extras.test_cli_processes import FLAT, of_session, wait_for_end_of, wait_for_samples
 
 SCRIPT = """
 from gcd_dataset.generator import MakeConfig, produce
@@ -28,17 +26,6 @@ def test_the_error_of_a_script_without_main_guard_names_the_remedy(tmp_path: Pat
     finished = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert finished.returncode == 1
     assert "must start them under if __name__" in finished.stderr
-
-
-def test_workers_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path), "--count", "100000", "--workers", "2"]
-    process = subprocess.Popen([*command, *FLAT], stderr=subprocess.DEVNULL, start_new_session=True)
-    wait_for_samples(tmp_path, 3, process)
-    assert len(of_session(process.pid)) >= 3
-    process.kill()
-    process.wait()
-    wait_for_end_of(process.pid)
-    assert main(["generate", str(tmp_path), "--count", "3", *FLAT]) == 0  # keeps the finished samples
 
 
 PROGRAM = """
