@@ -53,7 +53,7 @@ SMALLER = {
 DRAPED = {"scans": "garments", "sketches": "garments", "exports": "shards"}
 """Document to the name of a folder with two draped garments, which it takes for granted."""
 BEFORE = {
-    "evaluate": ["gcd generate garments --count 20 --stage pattern --seed 3 --quiet", "python specifications.py"],
+    "evaluate": ["gcd generate garments --count 30 --stage pattern --seed 3 --quiet", "python specifications.py"],
 }
 """Document to the commands that make what else it takes for granted."""
 SPECIFICATIONS = """

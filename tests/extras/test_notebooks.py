@@ -28,7 +28,7 @@ DISPLAYED = {
 BAR = """
 from gcd_dataset.cli.common import Bar
 from gcd_dataset.making.progress import Progress
-Bar("garment", quiet=False).run(lambda on_progress: [on_progress(Progress(8, 0, made=made)) for made in (0, 8)])
+made = Bar("garment", quiet=False).run(lambda on_progress: [on_progress(Progress(8, 0, made=made)) for made in (0, 8)])
 """
 
 
