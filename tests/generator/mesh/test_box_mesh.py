@@ -349,7 +349,7 @@ def signed(mesh: BoxMesh) -> Float[np.ndarray, " f"]:
     return areas(mesh.uv, mesh.corners)
 
 
-DESIGNS = (
+EXAMPLES = (
     "asymm_circle_skirt_lapel_dress", "asymmetric_top", "circle_skirt", "dress", "fitted_shirt", "godet_skirt",
     "jumpsuit", "levels_skirt", "pants_cuff", "pencil_skirt", "shirt_sleeves_hood", "strapless_dress",
 )  # fmt: skip
@@ -363,7 +363,7 @@ MESHES = {
 
 
 @pytest.mark.parametrize(("body", "spacing"), [("default_body", 1.0), ("random_body", 2.0)])
-@pytest.mark.parametrize("name", DESIGNS)
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_every_design_has_a_sound_mesh(examples: Path, name: str, body: str, spacing: float) -> None:
     """Manifold, without long edges and unused vertices; only the outline may force slivers."""
     pattern = read_pattern(examples / "patterns" / name / body / f"{name}_specification.json")
