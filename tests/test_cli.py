@@ -229,6 +229,7 @@ def draped(tmp_path_factory: pytest.TempPathFactory) -> Draped:
 
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stderr(io.StringIO()) as errors:
         patch.setattr("gcd_dataset.generator.fitting.write_fitting", kept)
+        patch.setattr("gcd_dataset.generator.fitting.PICTURE_SIZE", 200)
         assert main(["drape", *map(str, files), "--out", str(out), *options]) == 1
     logging.getLogger("gcd_dataset").removeHandler(handler)
     report = json.loads((out / "report.json").read_text())
@@ -290,6 +291,7 @@ def test_a_garment_that_slides_off_ends_with_1(
     settled = draped.fittings[0]
     slid = replace(settled, drape=replace(settled.drape, outcome=Outcome.SLID_OFF))
     monkeypatch.setattr("gcd_dataset.generator.fitting.drape_patterns", lambda *_, **__: iter([slid]))
+    monkeypatch.setattr("gcd_dataset.generator.fitting.PICTURE_SIZE", 200)
     options = ["drape", str(draped.files[1]), "--out", str(tmp_path), "--device", "cpu", "--quiet"]
     assert main(options) == 1
     assert "SLID_OFF" in capsys.readouterr().out

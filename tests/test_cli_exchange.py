@@ -155,6 +155,7 @@ def generated(index: int, outcome: Outcome) -> Sample:
     return replace(made, drape=Drape(moved, outcome, 100, 1, 2, 1.0, 1.1))
 
 
+@pytest.mark.long
 def test_generated_garments_are_published_under_names_of_their_own(tmp_path: Path) -> None:
     config = MakeConfig(bodies="both", stage="mesh", resolution=8.0, points=16)
     outcomes = (Outcome.SETTLED, Outcome.SETTLED, Outcome.THROUGH_BODY, Outcome.SETTLED)

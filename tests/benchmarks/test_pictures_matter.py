@@ -215,6 +215,7 @@ def test_gaps_are_differences_in_points() -> None:
     assert high["iou"] == pytest.approx(30.0)
 
 
+@pytest.mark.long
 def test_the_case_reports_and_a_repeated_call_continues(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

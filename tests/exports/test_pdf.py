@@ -112,6 +112,7 @@ def test_curves_are_bezier_curves(tmp_path: Path) -> None:
     assert line.curves == 3  # 30° each
 
 
+@pytest.mark.long
 def test_pages_fit_together(worn: Sample, tmp_path: Path) -> None:
     """On all pages that show a piece it has one place on the sheet, to 0.02 mm, and the pages show all of it."""
     reader = read(worn, tmp_path)

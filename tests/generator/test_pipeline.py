@@ -355,6 +355,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.long
 def test_workers_serve_a_script_from_standard_input() -> None:
     """Which has no file that a spawned worker could import."""
     finished = subprocess.run([sys.executable, "-"], input=SCRIPT, capture_output=True, text=True, check=False)

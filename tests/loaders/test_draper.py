@@ -28,6 +28,7 @@ from tests.loaders.test_shards import assert_all_same
 CONFIG = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16, design=SKIRTS, on_fail="keep")
 
 
+@pytest.mark.long
 def test_all_workers_share_one_draping_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = items()
     ds = Apart(COUNT, address_for("cpu"), cache_dir=tmp_path)

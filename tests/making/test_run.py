@@ -375,14 +375,18 @@ def fakes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return contents(folder)
 
 
-@pytest.mark.parametrize("before", [0, 3])
-def test_a_run_killed_anywhere_goes_on_to_the_same_bytes(before: int, tmp_path: Path, fakes: dict[str, bytes]) -> None:
-    """Of a new data set, and of one that grows."""
+@pytest.mark.parametrize(
+    ("before", "every"), [(0, 3), (3, 5), *(pytest.param(n, 1, marks=pytest.mark.long) for n in (0, 3))]
+)
+def test_a_run_killed_anywhere_goes_on_to_the_same_bytes(
+    before: int, every: int, tmp_path: Path, fakes: dict[str, bytes]
+) -> None:
+    """Of a new data set, and of one that grows; before every call, or every third or fifth one."""
     begun = tmp_path / "begun"
     begun.mkdir()
     if before:
         make_fake(begun, before)
-    for number in range(1000):
+    for number in range(0, 1000, every):
         folder = Path(shutil.copytree(begun, tmp_path / str(number)))
         was_killed = killed_at(lambda folder=folder: make_fake(folder, 5), number)  # type: ignore[misc]
         make_fake(folder, 5)

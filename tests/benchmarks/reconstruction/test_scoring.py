@@ -248,6 +248,7 @@ def test_arranging_keeps_panels_and_seams_without_a_match() -> None:
     assert len(found.panels[-1].edges) == 3
 
 
+@pytest.mark.long
 def test_predictions_are_draped_and_compared_with_the_true_drape(skirt: Pattern) -> None:
     """The same garment otherwise numbered, one 6 cm longer, one that cannot be sewn, and none."""
 

@@ -268,6 +268,7 @@ def clustered(body: Body, cell: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(corners, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)], process=False)
 
 
+@pytest.mark.long
 def test_errors_of_a_coarse_mesh_are_within_the_stated_bounds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -175,6 +175,7 @@ def test_residuals_are_the_errors_of_the_fitted_body_and_open_measures_get_proba
     assert values(measured, LENGTHS) == pytest.approx(values(neutral, LENGTHS), rel=0.1)
 
 
+@pytest.mark.long
 def test_the_measures_of_a_drawn_body_are_fitted_to_a_millimetre() -> None:
     drawn = draw_shape(rng(0, 2, Stage.BODY))
     size = measure(build_body(drawn))
