@@ -59,6 +59,19 @@ def test_info_names_the_stage_of_a_data_set_without_drapes(tmp_path: Path, capsy
     assert "at rest" not in text
 
 
+@pytest.mark.parametrize("stage", ["body", "pattern"])
+def test_generate_names_other_files_until_it_has_begun(
+    stage: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "notes.txt").touch()
+    command = ["generate", str(tmp_path), "--count", "1", "--stage", stage, "--workers", "0", "--quiet"]
+    assert main([*command, "--log", str(tmp_path / "log.jsonl")]) == 0
+    assert "holds other files (notes.txt)" in caplog.text
+    caplog.clear()
+    assert main(command) == 0
+    assert "other files" not in caplog.text
+
+
 def test_check_names_one_flipped_byte(data: Path, capsys: Capture) -> None:
     assert main(["check", str(data), "--bytes"]) == 0
     assert "nothing harmful found" in said(capsys)

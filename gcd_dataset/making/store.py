@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import logging
+import re
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -15,21 +16,31 @@ from gcd_dataset.errors import ConfigError, OutputError, ShardError, shown
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.shards.access import read_file, writing
 from gcd_dataset.shards.cache import default_cache
+from gcd_dataset.shards.manifest import MANIFEST
+from gcd_dataset.shards.notes import shards_named
 from gcd_dataset.shards.place import Place
 
 LOCAL = ("file", "local")  # protocols of fsspec for folders
 READ_ONLY = ("http", "https", "hf")
 AT_ONCE = 32  # requests
 SLOW = 30.0  # s without an answer before a warning
+NAMED = 3  # files named in a message
+OURS = re.compile(r"\..*|views|mesh-.+|.+\.index|rejects\.jsonl|.+-\d{5,}\.json")
+"""Files of a data set, besides its shards and its manifest."""
 
 logger = logging.getLogger("gcd_dataset")
 
 
 def place_for(out: Path | str) -> Place:
-    """The folder or store that a user names. Raises ``ConfigError`` for a URL that cannot be written to."""
+    """The folder or store that a user names. Raises ``ConfigError`` for a URL that cannot be written to.
+
+    Logs a warning before a new data set is written into a folder with other files.
+    """
     protocol, separator, path = str(out).partition("://")
     if not separator or protocol in LOCAL:
-        return Place(unquote(path) if separator else out)
+        place = Place(unquote(path) if separator else out)
+        _warn_of_others(place)
+        return place
     import fsspec
 
     if protocol in READ_ONLY or "::" in path or not path or protocol not in fsspec.available_protocols():
@@ -37,6 +48,14 @@ def place_for(out: Path | str) -> Place:
             f"{shown(str(out))}: cannot be written to: give a folder, or a URL such as s3://BUCKET/PREFIX"
         )
     return UrlPlace(str(out))
+
+
+def _warn_of_others(place: Place) -> None:
+    names = sorted(name for name in place.names() if "/" not in name) if place.folder.is_dir() else []
+    others = [shown(name) for name in names if not OURS.fullmatch(name)]
+    if others and MANIFEST not in names and not shards_named(names):
+        named = ", ".join(others[:NAMED]) + (f" and {len(others) - NAMED} more" if len(others) > NAMED else "")
+        logger.warning("%s: holds other files (%s), which stay beside the data set: right folder?", place.folder, named)
 
 
 class UrlPlace(Place):

@@ -1,7 +1,7 @@
 """Writes shards, sample by sample, as drafts that survive a kill.
 
-    .train-00012.part, .views-train-00012.part      the draft of shard 12: its samples so far, and their pictures
-    .failed-00012.part, .views-failed-00012.part    the failed drapes of the same task
+    .train-00012-of-9600.draft, .views-…            the draft of shard 12: its samples so far, and their pictures
+    .failed-00012-of-9600.draft, .views-…           the failed drapes of the same task
 
 A finished draft gets its names in this order: pictures, note, and last the tar. So a shard exists when its tar does.
 The draft of the split's own shard is locked (``flock``) by the process that fills it.
@@ -57,7 +57,7 @@ def shard_size_of(count: int, wearers: int = 1) -> int:
 
 def draft_name(split: str, number: int, count: int, *, views: bool = False) -> str:
     """The file name of a draft; ``count``: planned samples of the data set."""
-    return f".{'views-' if views else ''}{split}-{number:05d}-of-{count}.part"
+    return f".{'views-' if views else ''}{split}-{number:05d}-of-{count}.draft"
 
 
 class Draft:
@@ -352,7 +352,7 @@ class ShardWriter:
 def remove_drafts(place: Place) -> None:
     """Remove the drafts of a data set whose shards are all finished. Raises ``OutputError``."""
     with reading(place.work):
-        drafts = [path for path in place.work.glob(".*.part") if DRAFT.fullmatch(path.name)]
+        drafts = [path for path in place.work.glob(".*.draft") if DRAFT.fullmatch(path.name)]
     for path in drafts:
         with writing(path):
             path.unlink(missing_ok=True)

@@ -49,3 +49,5 @@ __all__ = [
     "sample_kind",
     "try_on",
 ]
+
+outfit_tags = garment_tags  # its earlier name, which programs of others use

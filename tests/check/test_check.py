@@ -411,7 +411,8 @@ def test_failed_garments_belong_into_the_failed_split(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def shards(tmp_path: Path) -> Path:
+def shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("GCD_CACHE", str(tmp_path / "cache"))  # other tests have columns of equal shards in theirs
     return written(tmp_path / "shards", good()[:TRAIN], shard_size=8)
 
 

@@ -71,7 +71,7 @@ def samples_in_work(folder: Path) -> int:
 
 
 def drafts_in(folder: Path) -> list[Path]:
-    return [*folder.glob(".train-00000-of-*.part")]
+    return [*folder.glob(".train-00000-of-*.draft")]
 
 
 def wait_for_end_of(session: int) -> None:

@@ -122,7 +122,7 @@ def test_a_full_disk_and_a_read_only_folder_are_reported(tmp_path: Path, whole: 
     def limited() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (size - 2048, size - 2048))
-        with pytest.raises(OutputError, match=r"\.train-000\d\d-of-\d+\.part: cannot .*samples in it are kept"):
+        with pytest.raises(OutputError, match=r"\.train-000\d\d-of-\d+\.draft: cannot .*samples in it are kept"):
             make(tmp_path, COUNT)
 
     assert os.waitpid(forked(limited), 0)[1] == 0
