@@ -171,8 +171,8 @@ class GarmentDataset(Garments):
     - ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it for the first time, ``full`` checks
       everything on opening, ``off`` nothing; remote data, and shards from which columns are made, are checked in any
       case.
-    - ``streaming``: an iterable data set instead, which reads shards sequentially with ``webdataset`` and splits the
-      garments over ranks and workers; remote data is not cached.
+    - ``streaming``: an iterable data set instead, which reads shard after shard and splits the garments over ranks and
+      workers; the shards of a remote set are fetched whole, to the cache.
 
     The cache:
 

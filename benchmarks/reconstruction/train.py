@@ -535,7 +535,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def exit_code(program: str, call: Callable[[], None]) -> int:
-    """The exit code of a call, whose error is printed as one line: 0, 1, or ``UNFINISHED``."""
+    """The exit code of a call: 0, 1 or ``UNFINISHED``. An error is printed as one line."""
     try:
         call()
     except GcdError as error:

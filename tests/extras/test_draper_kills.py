@@ -170,7 +170,7 @@ def test_a_failing_draper_reports_the_error_and_is_replaced(
     address: DraperAddress, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Even if another client does not read its replies."""
-    monkeypatch.setattr(DrapeJob, "require_drapeable", lambda job: None)  # this process sends what it would refuse
+    monkeypatch.setattr(DrapeJob, "require_drapeable", lambda job: None)  # else refused here
     with SharedDraper(address) as deaf, SharedDraper(address) as draper:
         deaf.send(replace(drape_request(0), picture=400))
         assert deaf._connection.poll(120)  # its reply has begun; the unread rest blocks the draper's writer

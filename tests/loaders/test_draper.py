@@ -51,7 +51,7 @@ def test_workers_take_the_draping_processes_in_turn(monkeypatch: pytest.MonkeyPa
 
 
 class StandIn:
-    """A draper whose garments settle where they start; the first waits until no other does if ``first_last``."""
+    """A draper whose garments settle where they start. ``first_last``: the first garment settles after all others."""
 
     def __init__(self, *, at_once: int = 3, first_last: bool = False, fails: int | None = None) -> None:
         self.at_once, self.first_last, self.fails = at_once, first_last, fails

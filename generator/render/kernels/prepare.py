@@ -1,4 +1,4 @@
-"""What is computed once for a scene, whatever the views: normals, distances to borders, and light from the sky."""
+"""Kernels that run once for a scene and serve all its views: normals, distances to borders, light from the sky."""
 
 import warp as wp
 

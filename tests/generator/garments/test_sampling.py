@@ -248,7 +248,7 @@ def test_a_hopeless_choice_is_given_up_after_five_attempts() -> None:
 
 
 def test_after_twenty_attempts_uppers_and_bottoms_take_turns() -> None:
-    """First those that the attempts before did not have; so each of them comes, however chance has it."""
+    """Kinds that the twenty attempts did not draw come first, so every possible kind is tried."""
     drafts = [[drafted_design(3, number, attempt).meta for attempt in range(0, 100, 5)] for number in range(9)]
     possible = defaultdict[tuple[str, Kind], set[Any]](set)
     for metas in drafts:
