@@ -9,7 +9,6 @@ import contextlib
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from typing import Self
 
 import numpy as np
@@ -19,117 +18,14 @@ from gcd_dataset.generator.drape.body_field import HostField, host_field
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import WorkStream, keep_freed_memory, launch_lock, to_host, work_streams
 from gcd_dataset.generator.drape.holds import BodyConstraints
-from gcd_dataset.generator.drape.kernels.carry import Move, carry_contacts, refine
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING
-from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.model import ClothModel, build_model
 from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_worlds
-from gcd_dataset.generator.drape.solver import Solver, nothing
+from gcd_dataset.generator.drape.slots import ALIGNED, WIDTH, CoarseEnd, Slots, room_for, rooms_of
+from gcd_dataset.generator.drape.solver import nothing
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
 from gcd_dataset.records import Drape
-
-VERTEX_ARRAYS = (
-    "x",
-    "v",
-    "ahead",
-    "x_seen",
-    "search.x",
-    "search.skin",
-    "contact_weight",
-    "beside",
-    "search.listed",
-    "tangled",
-)
-WORLD_ARRAYS = (
-    "time", "status", "held", "loose_after", "frames", "search.moved_far",
-    "crossing.due", "crossing.searched", "crossing.least", "crossing.least_at", "crossing.separated",
-)  # fmt: skip
-CONTACT_COUNTS = ("point_count", "edge_count", "long_count", "crossing_count", "overfull")
-THREADS = 256  # threads that copy the contact lists of one garment on a GPU
-
-
-def carry_over(old: Solver, new: Solver, worlds: Sequence[tuple[int, int]]) -> None:
-    """Copy the state of garments between two frames; ``worlds``: pairs of world indices in ``old`` and ``new``."""
-    if not worlds:
-        return
-    first_old, first_new = old.model.topology.vertex_offset, new.model.topology.vertex_offset
-    for name in VERTEX_ARRAYS:
-        array_of = attrgetter(name)
-        source, target = array_of(old.state), array_of(new.state)
-        for before, after in worlds:
-            count = int(first_old[before + 1] - first_old[before])
-            wp.copy(target, source, dest_offset=int(first_new[after]), src_offset=int(first_old[before]), count=count)
-    for name in WORLD_ARRAYS:
-        array_of = attrgetter(name)
-        _copy_worlds(array_of(old.state), array_of(new.state), worlds)
-    for name in CONTACT_COUNTS:
-        _copy_worlds(getattr(old.state.contacts, name), getattr(new.state.contacts, name), worlds)
-    device = new.model.device
-    threads = 1 if device == "cpu" else THREADS
-    moves = wp.array([_move(old, new, *pair) for pair in worlds], dtype=Move, device=device)
-    wp.launch(
-        carry_contacts,
-        dim=(len(worlds), threads),
-        inputs=[old.model.worlds, new.model.worlds, moves, threads, old.state.contacts],
-        outputs=[new.state.contacts],
-        device=device,
-    )
-
-
-def _copy_worlds(source: wp.array, target: wp.array, worlds: Sequence[tuple[int, int]]) -> None:
-    values, old_values = to_host(target), to_host(source)
-    for before, after in worlds:
-        values[after] = old_values[before]
-    target.assign(values)
-
-
-def _move(old: Solver, new: Solver, before: int, after: int) -> Move:
-    move = Move()
-    move.old_world, move.new_world = before, after
-    old_topology, new_topology = old.model.topology, new.model.topology
-    move.edge_shift = int(new_topology.edge_offset[after] - old_topology.edge_offset[before])
-    move.face_shift = int(new_topology.face_offset[after] - old_topology.face_offset[before])
-    return move
-
-
-MIN_FRAMES = 4  # frames of the fine mesh before it may count as at rest
-
-
-def start_from_coarse(coarse: Solver, fine: Solver, worlds: Sequence[tuple[int, int, CoarseMesh]]) -> None:
-    """Start garments of ``fine`` from the end of their coarse drapes.
-
-    ``worlds``: world index in ``coarse``, world index in ``fine``, and the coarse mesh that interpolates between them.
-    A garment whose coarse drape diverged starts from its placed panels. A garment whose coarse drape overfilled a
-    contact list is marked as overfull in ``fine`` too, since the choice of dropped contacts is not deterministic.
-    """
-    status, time, held = (to_host(array) for array in (coarse.state.status, coarse.state.time, coarse.state.held))
-    overfull, new_overfull = to_host(coarse.state.contacts.overfull), to_host(fine.state.contacts.overfull)
-    worlds = [entry for entry in worlds if status[entry[0]] != DIVERGED]
-    if not worlds:
-        return
-    model, state, device = fine.model, fine.state, fine.model.device
-    first, first_coarse = model.topology.vertex_offset, coarse.model.topology.vertex_offset
-    corners = np.zeros((model.n_vertices, 3), np.int32)
-    weights = np.zeros((model.n_vertices, 3), np.float32)
-    new_time, new_held, loose_after = (to_host(array) for array in (state.time, state.held, state.loose_after))
-    frame = to_host(model.worlds)["frame"]
-    for old, new, mesh in worlds:
-        span = slice(first[new], first[new + 1])
-        corners[span], weights[span] = mesh.corners + first_coarse[old], mesh.weights
-        new_time[new], new_held[new], new_overfull[new] = time[old], held[old], overfull[old]
-        loose_after[new] = time[old] + MIN_FRAMES * frame[new]
-    state.time.assign(new_time)
-    state.held.assign(new_held)
-    state.loose_after.assign(loose_after)
-    state.contacts.overfull.assign(new_overfull)
-    interpolation = [wp.array(corners, dtype=wp.vec3i, device=device), wp.array(weights, dtype=wp.vec3, device=device)]
-    wp.launch(
-        refine,
-        dim=model.n_vertices,
-        inputs=[model.worlds, model.cloth.vertex_world, *interpolation, coarse.state.x, coarse.state.v],
-        outputs=[state.x, state.v, state.ahead, state.x_seen, state.search.x],
-        device=device,
-    )
 
 
 @dataclass(frozen=True)
@@ -161,10 +57,8 @@ class Pass:
     prepared: PreparedJob | None = None
     coarse_frames: int = 0
     """In the fine pass: the frames that the coarse pass took."""
-    previous_world: int | None = None
-    """The garment's world in the previous batch."""
-    refined_from: CoarseMesh | None = None
-    """The coarse mesh in that world, if this is the first batch of the fine pass."""
+    start: CoarseEnd | None = None
+    """In the fine pass: the end of the coarse pass, if the garment starts from it."""
     begun_with: CoarseMesh | None = None
     """The coarse mesh of the garment's first pass, if it has one."""
     earlier: tuple[Drape, ...] = ()
@@ -204,10 +98,6 @@ class Pass:
             earlier=(*self.earlier, drape),
         )
 
-    def continued(self, world: int) -> Self:
-        """The same pass in the next batch; ``world``: the world of the garment in the present batch."""
-        return replace(self, previous_world=world, refined_from=None)
-
     def restarted(self, frames: int, config: DrapeConfig) -> Self:
         """The fine pass from the placed panels, after a coarse pass of ``frames`` frames that slid off the body."""
         fine, mesh = self.fine, self.fine.box_mesh
@@ -219,19 +109,16 @@ class Pass:
             coarse=None,
             constraints=_constraints(self.fine, None, self.prepared),
             coarse_frames=frames,
-            previous_world=None,
-            refined_from=None,
         )
 
-    def refined(self, world: int, frames: int) -> Self:
-        """The fine pass after a coarse pass of ``frames`` frames in ``world``."""
+    def refined(self, start: CoarseEnd | None, frames: int) -> Self:
+        """The fine pass after a coarse pass of ``frames`` frames."""
         return replace(
             self,
             coarse=None,
             constraints=_constraints(self.fine, None, self.prepared),
             coarse_frames=frames,
-            previous_world=world,
-            refined_from=self.coarse,
+            start=start,
         )
 
 
@@ -274,32 +161,24 @@ class PendingJobs:
         return passes
 
 
-def next_batch(passes: Sequence[Pass], previous: Solver | None, config: DrapeConfig, device: str) -> Solver:
-    """A solver for the passes, with the state that continues from the previous batch."""
-    with launch_lock:
-        coarse = [k for k, each in enumerate(passes) if each.coarse]
-        model = build_model(
-            [each.job for each in passes],
-            config,
-            device,
-            coarse=coarse,
-            sewing_times=[each.sewing_time(config) for each in passes],
-            constraints=[each.constraints for each in passes],
-            fields=[None if each.prepared is None else each.prepared.field for each in passes],
-        )
-        solver = Solver(model, config)
-        if previous is not None:
-            moves = [
-                (p.previous_world, k, p.refined_from) for k, p in enumerate(passes) if p.previous_world is not None
-            ]
-            carry_over(previous, solver, [(old, new) for old, new, mesh in moves if mesh is None])
-            start_from_coarse(previous, solver, [(old, new, mesh) for old, new, mesh in moves if mesh is not None])
-    return solver
+def model_of(passes: Sequence[Pass], config: DrapeConfig, device: str) -> ClothModel:
+    """The model of the passes' garments."""
+    return build_model(
+        [each.job for each in passes],
+        config,
+        device,
+        coarse=[k for k, each in enumerate(passes) if each.coarse],
+        sewing_times=[each.sewing_time(config) for each in passes],
+        constraints=[each.constraints for each in passes],
+        fields=[None if each.prepared is None else each.prepared.field for each in passes],
+    )
 
 
 POLL_EVERY = 5  # frames between two reads of the status
 AHEAD = 10  # frames queued before the host works for another lane
-IDLE = 0.5  # share of the worlds that may be idle while jobs wait: rebuilding a batch takes time
+IDLE = 0.25  # share of the worlds that may be idle while jobs wait: replacing garments takes time
+SPARE = 1.25  # room of a batch over that of its garments, while further jobs may come
+CROWDED = 0.6  # a batch that has no room for more than this share of its garments gets larger buffers
 
 
 class Lane:
@@ -317,23 +196,26 @@ class Lane:
     ) -> None:
         self._pending, self._config, self._device, self._size = pending, config, device, size
         self._stream, self._between = stream, between
-        self._passes: list[Pass] = []
-        self._solver: Solver | None = None
-        self._tried = False
-        """Whether the lane has asked for jobs."""
-        self._continued: list[Pass] | None = None
-        """Between the two stages of a replacement: the passes that go on in the next batch."""
+        self._slots: Slots | None = None
+        self._passes: dict[int, Pass] = {}
+        """World to pass."""
+        self._waiting: list[Pass] = []
+        """Passes without a world."""
+        self._is_crowded = False
+        """Whether the batch waits for its last garment, to get larger buffers."""
+        self._is_due = True
+        """Whether garments may be placed: at first, and after others have left."""
         self._status: wp.array | None = None
 
     @property
     def empty(self) -> bool:
-        """Whether the lane has no garment."""
-        return not self._passes and not self._continued
+        """Whether the lane has no garment, and has asked for jobs since it collected the last one."""
+        return not (self._passes or self._waiting or self._is_due)
 
     def ready(self, arrived: Callable[[], int]) -> bool:
         """Whether ``advance`` has work: the queued frames have ended, or an empty lane may find jobs."""
         if self.empty:
-            return not self._pending.ended and (not self._tried or arrived() > 0)
+            return not self._pending.ended and arrived() > 0
         return not self._in_flight()
 
     def _in_flight(self) -> bool:
@@ -341,19 +223,23 @@ class Lane:
         return self._status is not None and self._stream is not None and not self._stream.reached()
 
     def replaces(self, arrived: Callable[[], int]) -> bool:
-        """Whether the next ``advance`` collects garments or builds a batch, which takes the host some time.
+        """Whether the next ``advance`` collects or places garments, which takes the host some time.
 
         Counted as idle: each ended world that a pending job or its garment's fine pass could use, and each unused
         place in the batch for which a job has arrived.
         """
-        if self._solver is None or self._continued is not None:
+        if self._is_due or not self._passes:
             return True
+        running = self._running()
+        usable = [w for w, each in self._passes.items() if each.coarse or not self._pending.ended]
+        idle = sum(not running[w] for w in usable)
+        free = min(arrived(), self._size - len(self._passes) - len(self._waiting))
+        return not any(running[w] for w in self._passes) or idle + free >= max(1, IDLE * len(self._passes))
+
+    def _running(self) -> np.ndarray:
+        """(w) whether each world runs, after the frames of the last ``_queue``."""
         assert self._status is not None
-        running = self._status.numpy() == RUNNING
-        refining = np.array([each.coarse is not None for each in self._passes])
-        idle = ~running & refining if self._pending.ended else ~running
-        free = min(arrived(), self._size - len(self._passes))
-        return not running.any() or bool(idle.sum() + free >= max(1, IDLE * len(self._passes)))
+        return np.asarray(self._status.numpy() == RUNNING)
 
     def queue_ahead(self) -> None:
         """Queue further frames if the lane has any in flight."""
@@ -362,62 +248,114 @@ class Lane:
                 self._queue(AHEAD)
 
     def advance(self, arrived: Callable[[], int]) -> list[tuple[int, Drape]]:
-        """Queue frames; or collect the garments at rest; or build the next batch and queue its first frames.
+        """Queue frames; or collect the garments at rest; or place garments and queue their first frames.
 
         Returns the number and drape of each collected garment.
         """
         with self._on_stream():
-            if self._solver is not None and self._continued is None and self.replaces(arrived):
+            if not self._is_due and self.replaces(arrived):
                 return self._collect()
-            if self._solver is None or self._continued is not None:
-                self._build()
-            if self._solver is not None:
-                self._solver.refresh_bvh()
+            if self._is_due:
+                self._place()
+            if self._passes:
+                assert self._slots is not None
+                self._slots.solver.refresh_bvh()
                 self._queue(POLL_EVERY)
         return []
 
     def _collect(self) -> list[tuple[int, Drape]]:
         """The drapes of the garments that have ended their last fine pass; those that cross are draped again."""
-        solver, passes = self._solver, self._passes
-        assert solver is not None
+        self._is_due = True
+        if not self._passes:
+            return []
+        assert self._slots is not None
+        solver, passes = self._slots.solver, self._passes
         self.synchronize()
-        running = to_host(solver.state.status) == RUNNING  # frames queued ahead may have ended more garments
-        frames = to_host(solver.state.frames)
-        ended = [k for k in np.flatnonzero(~running).tolist() if passes[k].coarse is None]
-        drapes = collect(solver, [passes[k].fine for k in ended], ended)
-        self._continued = [passes[k].continued(k) for k in np.flatnonzero(running).tolist()]
-        slid = slid_worlds(solver, {k: each.job for k, each in enumerate(passes) if each.coarse})
-        self._continued += [
-            each.restarted(int(frames[k]), self._config) if k in slid else each.refined(k, int(frames[k]))
-            for k, each in enumerate(passes)
-            if each.coarse and not running[k]
-        ]
-        self.synchronize()
+        state = solver.state
+        # Frames queued ahead may have ended more garments.
+        status, frames = to_host(state.status), to_host(state.frames)
+        ended = [w for w in passes if status[w] != RUNNING]
+        fine = [w for w in ended if passes[w].coarse is None]
+        drapes = collect(solver, [passes[w].fine for w in fine], fine)
+        slid = slid_worlds(solver, {w: passes[w].job for w in ended if passes[w].coarse})
+        coarse = [w for w in ended if passes[w].coarse]
+        starts = self._coarse_ends([w for w in coarse if w not in slid and status[w] != DIVERGED])
+        for w in coarse:
+            count = int(frames[w])
+            again = passes[w].restarted(count, self._config) if w in slid else passes[w].refined(starts.get(w), count)
+            self._waiting.append(again)
         finished: list[tuple[int, Drape]] = []
-        for k, drape in zip(ended, drapes, strict=True):
-            whole = replace(drape, frames=drape.frames + passes[k].coarse_frames)
-            every = (*passes[k].earlier, whole)
+        for w, drape in zip(fine, drapes, strict=True):
+            whole = replace(drape, frames=drape.frames + passes[w].coarse_frames)
+            every = (*passes[w].earlier, whole)
             if crosses(whole) and len(every) < self._config.most_drapes:
-                self._continued.append(passes[k].again(whole))
+                self._waiting.append(passes[w].again(whole))
             else:
-                finished.append((passes[k].number, best_of(every)))
+                finished.append((passes[w].number, best_of(every)))
+        self._slots.free(ended)
+        for w in ended:
+            del passes[w]
+        self.synchronize()
         return finished
 
-    def _build(self) -> None:
-        """Fill the free places of the batch with jobs, and continue the other garments from the previous batch."""
-        self._tried = True
-        passes = self._continued or []
-        passes += self._pending.take(self._size - len(passes))
-        previous, self._solver = self._solver, None
-        if passes:
-            self._solver = next_batch(passes, previous, self._config, self._device)
-        self._passes, self._continued, self._status = passes, None, None
+    def _coarse_ends(self, worlds: Sequence[int]) -> dict[int, CoarseEnd]:
+        """The ends of the coarse drapes in some worlds."""
+        if not worlds:
+            return {}
+        assert self._slots is not None
+        state, vertices = self._slots.solver.state, self._slots.solver.model.vertices
+        x, v = wp.clone(state.x), wp.clone(state.v)
+        time, held, overfull = (to_host(array) for array in (state.time, state.held, state.contacts.overfull))
+        return {
+            w: CoarseEnd(coarse, x, v, vertices[w].start, float(time[w]), int(held[w]), int(overfull[w]))
+            for w in worlds
+            if (coarse := self._passes[w].coarse) is not None
+        }
+
+    def _place(self) -> None:
+        """Fill the free places of the batch: with passes that wait for one, then with jobs."""
+        self._is_due = False
+        free = self._size - len(self._passes)
+        self._waiting += self._pending.take(free - len(self._waiting))
+        if not self._waiting or (self._is_crowded and self._passes):
+            return
+        chosen = self._waiting[:free]
+        if self._slots is not None and self._passes:
+            chosen = chosen[: self._slots.count_fitting([room_for(each.job.box_mesh) for each in chosen])]
+        self._is_crowded = len(chosen) < len(self._waiting) and len(self._passes) <= CROWDED * self._size
+        if not chosen:
+            return
+        with launch_lock:
+            new = model_of(chosen, self._config, self._device)
+            if not self._passes:
+                self._renew(new)
+            assert self._slots is not None
+            worlds = self._slots.place(new, [each.start for each in chosen]) if self._slots.suits(new) else []
+        self._passes |= dict(zip(worlds, chosen, strict=False))
+        self._waiting = self._waiting[len(worlds) :]
         self.synchronize()
+
+    def _renew(self, new: ClothModel) -> None:
+        """Make the buffers of an empty batch, or larger ones for the garments of ``new`` that wait."""
+        on_cpu = self._device == "cpu"
+        rooms = [room_for(each.job.box_mesh if on_cpu else each.fine.box_mesh) for each in self._waiting]
+        rooms = [max(room, own) for room, own in zip(rooms, rooms_of(new), strict=False)] + rooms[new.n_worlds :]
+        count, spare = (len(rooms), 1.0) if self._pending.ended else (self._size, SPARE)
+        needed = max(int(spare * count * np.mean(rooms)) // ALIGNED * ALIGNED, max(rooms), sum(rooms[: self._size]))
+        old = self._slots
+        if old is not None and not on_cpu and not self._is_crowded and old.room >= needed and old.suits(new):
+            return
+        self._slots = self._status = None  # frees the memory
+        if old is not None and not on_cpu:
+            needed = max(needed, old.room)
+        coupled = bool(new.rows.coupled) or (old is not None and old.coupled)
+        width = max(WIDTH, new.rows.width)
+        self._slots = Slots(needed, self._size, self._config, self._device, width=width, coupled=coupled)
 
     def _queue(self, frames: int) -> None:
         """Queue frames, and a copy of the status after them; on a CPU, run them."""
-        solver = self._solver
-        assert solver is not None
+        assert self._slots is not None
+        solver = self._slots.solver
         if self._stream is None:
             for _ in range(frames):
                 solver.replay_frame(self._between)
@@ -426,7 +364,7 @@ class Lane:
         for _ in range(frames):
             solver.replay_frame()
         if self._status is None:
-            self._status = wp.empty(len(self._passes), dtype=int, device="cpu", pinned=True)
+            self._status = wp.empty(solver.model.n_worlds, dtype=int, device="cpu", pinned=True)
         wp.copy(self._status, solver.state.status)
         self._stream.mark()
 

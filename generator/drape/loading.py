@@ -12,7 +12,7 @@ from gcd_dataset.generator.quality import core_seconds
 logger = logging.getLogger("gcd_dataset")
 
 NAMES = (
-    "carry", "contacts", "crossing", "field", "finish", "rows", "search", "sides", "step", "stillness", "topology",
+    "contacts", "crossing", "field", "finish", "place", "rows", "search", "sides", "step", "stillness", "topology",
     "untangling",
 )  # fmt: skip
 KERNELS: tuple[ModuleType, ...] = tuple(import_module(f"{kernels.__name__}.{name}") for name in NAMES)

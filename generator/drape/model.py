@@ -11,11 +11,12 @@ from itertools import pairwise
 import numpy as np
 import warp as wp
 
-from gcd_dataset.generator.drape.body_field import BodyField, HostField, body_fields
+from gcd_dataset.generator.drape.body_field import AXES, BodyField, HostField, body_fields
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
+from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, NOT_COUNTED
 from gcd_dataset.generator.drape.kernels.rows import add_inertia
 from gcd_dataset.generator.drape.kernels.world import (
     ClothArrays,
@@ -25,7 +26,7 @@ from gcd_dataset.generator.drape.kernels.world import (
     SearchState,
     World,
 )
-from gcd_dataset.generator.drape.topology import Topology, build_topology
+from gcd_dataset.generator.drape.topology import Topology, build_topology, empty_rows
 
 STABLE = 4.0 / (1.0 + 2.0 * LOOK_AHEAD)  # stability limit of (omega h)², see kernels/elastic.py
 SAFETY = 0.9  # share of that limit
@@ -46,11 +47,20 @@ class ClothModel:
     """(w) ``World``: parameters of each garment."""
     cloth: ClothArrays
     rows: Rows
-    topology: Topology
+    springs: wp.array
+    """(e) stiffness over the membrane stiffness, flat length and start length of each edge [1, cm, cm]."""
+    start: wp.array
+    """(v) positions before sewing [cm]."""
     face_world: wp.array
     """(f) world of each face."""
-    bodies: tuple[BodyField, ...]
-    """(w) fields of the bodies; ``cloth`` holds handles to their meshes."""
+    bodies: list[BodyField | None]
+    """(w) fields of the bodies, whose arrays and meshes ``worlds`` and ``cloth`` refer to; ``None`` for no garment."""
+    vertices: list[slice]
+    """(w) the vertices of each garment."""
+    edges: list[slice]
+    """(w) the edges of each garment."""
+    faces: list[slice]
+    """(w) the faces of each garment."""
 
     @property
     def n_worlds(self) -> int:
@@ -58,11 +68,11 @@ class ClothModel:
 
     @property
     def n_vertices(self) -> int:
-        return int(self.topology.vertex_offset[-1])
+        return len(self.start)
 
     @property
     def n_edges(self) -> int:
-        return int(self.topology.edge_offset[-1])
+        return len(self.springs)
 
 
 def build_model(
@@ -75,7 +85,7 @@ def build_model(
     constraints: Sequence[BodyConstraints] | None = None,
     fields: Sequence[HostField | None] | None = None,
 ) -> ClothModel:
-    """The model of a batch on a device: world ``k`` is ``jobs[k]``.
+    """The model of a batch on a device: world ``k`` is ``jobs[k]``, one garment after the other.
 
     ``coarse``: the worlds that drape a coarse mesh; their layers keep a larger distance, since refinement turns
     straight chords into folds, which would cross. ``sewing_times``: the time over which the seams of each garment
@@ -85,31 +95,30 @@ def build_model(
     jobs = [replace(job, fabric=job.fabric.softened(config.stiffest)) for job in jobs]
     constraints = constraints or [BodyConstraints.of(job) for job in jobs]
     topology = build_topology(jobs, [each.keepers for each in constraints], device)
+    vertices, edges, faces = (
+        [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        for ends in (topology.vertex_offset, topology.edge_offset, topology.face_offset)
+    )
     bodies = body_fields([job.body for job in jobs], device, fields)
-    field, offsets, parts = _join_fields(bodies, device)
-    stiffness, ends = to_host(topology.stiffness), topology.vertex_offset
-    ratios = _medians(to_host(topology.mass) / np.maximum(stiffness, 1e-9), ends)
+    stiffness = to_host(topology.stiffness)
+    ratios = _medians(to_host(topology.mass) / np.maximum(stiffness, 1e-9), vertices)
     # Stable at ``INERTIA_GAIN`` times the median mass per stiffness.
     steps = np.sqrt(SAFETY * STABLE * INERTIA_GAIN * np.array(ratios))
-    lengths = _medians(to_host(topology.hinges.spring)[:, 1], topology.edge_offset)
+    lengths = _medians(to_host(topology.hinges.spring)[:, 1], edges)
     times = sewing_times or [config.sewing_time] * len(jobs)
     worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0, times[k]) for k, job in enumerate(jobs)]
-    for k, (world, median) in enumerate(zip(worlds, _medians(stiffness, ends), strict=True)):
+    for k, (world, median) in enumerate(zip(worlds, _medians(stiffness, vertices), strict=True)):
         world.stiffness = float(median)
         world.max_frames = config.max_frames // 2 if k in coarse else config.max_frames
-    for world, step, length, start, end in zip(
-        worlds, steps, lengths, topology.vertex_offset, topology.vertex_offset[1:], strict=False
-    ):
-        _add_garment(world, config, float(step), float(length), int(start), int(end - start))
-    for world, body, offset, each in zip(worlds, bodies, offsets, constraints, strict=True):
+        _add_garment(world, config, float(steps[k]), float(lengths[k]), vertices[k])
+    for world, body, each in zip(worlds, bodies, constraints, strict=True):
         world.keepers, world.lowest, world.floor = len(each.keepers), each.lowest, each.floor_height
         world.holds = int(each.hold_normal.any(axis=1).sum()) if config.holds else 0
-        world.field_offset = offset
+        world.field, world.field_parts = body.distance.flatten(), body.part.flatten()
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)
         world.field_cell = body.cell
     cloth = _cloth(constraints, config, topology, _inertia(topology, steps, device), device)
-    cloth.field, cloth.field_parts = field, parts
     cloth.axes = wp.array(np.concatenate([body.axes for body in bodies]), dtype=wp.vec3, device=device)
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
     face_world = np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset))
@@ -118,16 +127,53 @@ def build_model(
         worlds=wp.array(worlds, dtype=World, device=device),
         cloth=cloth,
         rows=topology.rows,
-        topology=topology,
+        springs=topology.hinges.spring,
+        start=topology.start,
         face_world=wp.array(face_world, dtype=int, device=device),
-        bodies=bodies,
+        bodies=list(bodies),
+        vertices=vertices,
+        edges=edges,
+        faces=faces,
+    )
+
+
+def empty_model(room: int, worlds: int, width: int, device: str, *, coupled: bool) -> ClothModel:
+    """A model without garments, with room for ``room`` vertices in ``worlds`` worlds; its last world stays empty.
+
+    ``width``: most edges of a vertex. ``coupled``: with room for the corners that fabrics with a grain need. All
+    vertices belong to the last world; all faces and edges have their ends in vertex 0.
+    """
+    make = partial(_zeros, device)
+    cloth, edges, faces = ClothArrays(), int(EDGES) * room, int(FACES) * room
+    cloth.vertex_world = wp.full(room, worlds, dtype=int, device=device)
+    cloth.mass, cloth.inertia = make(room, float), make(room, float)
+    cloth.faces, cloth.edges, cloth.edge_opposite = make(faces, wp.vec3i), make(edges, wp.vec2i), make(edges, wp.vec2i)
+    cloth.vertex_faces, cloth.first_face = make(3 * faces, int), make(room, int)
+    cloth.vertex_edges, cloth.first_edge = make(2 * edges, int), make(room, int)
+    cloth.hold_normal, cloth.hold_offset = make(room, wp.vec3), make(room, float)
+    cloth.own_part, cloth.keeper, cloth.ignored_parts = make(room, int), make(room, wp.uint8), make(room, int)
+    cloth.axes = wp.zeros((2 * worlds + 2, len(AXES)), dtype=wp.vec3, device=device)
+    cloth.body_mesh = make(worlds + 1, wp.uint64)
+    nowhere = slice(0, 0)
+    return ClothModel(
+        device=device,
+        worlds=make(worlds + 1, World),
+        cloth=cloth,
+        rows=empty_rows(room, width, device, coupled=coupled),
+        springs=make(edges, wp.vec3),
+        start=make(room, wp.vec3),
+        face_world=wp.full(faces, worlds, dtype=int, device=device),
+        bodies=[None] * (worlds + 1),
+        vertices=[nowhere] * (worlds + 1),
+        edges=[nowhere] * (worlds + 1),
+        faces=[nowhere] * (worlds + 1),
     )
 
 
 def _cloth(
     constraints: Sequence[BodyConstraints], config: DrapeConfig, topology: Topology, inertia: wp.array, device: str
 ) -> ClothArrays:
-    """The ``ClothArrays`` struct without the body fields and meshes, which the caller adds."""
+    """The ``ClothArrays`` struct without the axes and meshes of the bodies, which the caller adds."""
 
     def put(arrays: Sequence[np.ndarray], kind: type, dtype: type) -> wp.array:
         return wp.array(np.concatenate(arrays).astype(kind, copy=False), dtype=dtype, device=device)
@@ -146,9 +192,9 @@ def _cloth(
     return cloth
 
 
-def _medians(values: np.ndarray, offsets: np.ndarray) -> list[np.floating]:
+def _medians(values: np.ndarray, spans: Sequence[slice]) -> list[np.floating]:
     """The median of each garment's values."""
-    return [np.median(values[a:b:SAMPLE]) for a, b in pairwise(offsets)]
+    return [np.median(values[span][::SAMPLE]) for span in spans]
 
 
 def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:
@@ -182,10 +228,10 @@ def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float, sewing_time: f
     return world
 
 
-def _add_garment(world: World, config: DrapeConfig, step: float, length: float, first: int, size: int) -> None:
-    """Add the parameters that follow from time step [s], median edge length [cm] and number of vertices."""
-    frame = config.substeps * step
-    world.first, world.size, world.dt = first, size, step
+def _add_garment(world: World, config: DrapeConfig, step: float, length: float, vertices: slice) -> None:
+    """Add the parameters that follow from time step [s], median edge length [cm] and vertices."""
+    frame, size = config.substeps * step, vertices.stop - vertices.start
+    world.first, world.size, world.dt = vertices.start, size, step
     # Reach of the broad phase, which lists pairs of vertices. Worst case: edges of lengths a and b that cross in their
     # midpoints at right angles, a margin apart, have their ends hypot(margin, hypot(a, b) / 2) from each other. Covered
     # are thus two edges of 1.41 medians, or a median edge and one of 1.73; of the flat edges of 12 sampled garments the
@@ -196,23 +242,6 @@ def _add_garment(world: World, config: DrapeConfig, step: float, length: float, 
     world.still, world.calm = config.still_speed * frame, config.calm_speed * frame
     world.restless = config.moving_share * size
     world.falling = config.falling_share * size
-
-
-def _join_fields(bodies: Sequence[BodyField], device: str) -> tuple[wp.array, list[int], wp.array]:
-    """The distinct fields in one array, the offset of each world's field, and the nearest body parts."""
-    distinct = list({id(body): body for body in bodies}.values())
-    starts = np.cumsum([0, *(body.distance.size for body in distinct)])
-    offset = {id(body): int(start) for body, start in zip(distinct, starts, strict=False)}
-    values = wp.empty(int(starts[-1]), dtype=float, device=device)
-    parts = wp.empty(int(starts[-1]), dtype=wp.uint8, device=device)
-    for body in distinct:
-        at, size = offset[id(body)], body.distance.size
-        wp.copy(values, body.distance.flatten(), dest_offset=at, count=size)
-        wp.copy(parts, body.part.flatten(), dest_offset=at, count=size)
-    return values, [offset[id(body)] for body in bodies], parts
-
-
-NOT_COUNTED = 2**31 - 1  # initial minimum of crossings, above any count
 
 
 @dataclass(frozen=True)
@@ -268,7 +297,7 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
     """The initial state: every garment at rest where its panels are placed."""
     n, worlds, faces = model.n_vertices, model.n_worlds, len(model.face_world)
     zeros = partial(_zeros, model.device)
-    start = model.topology.start
+    start = model.start
     ones = partial(wp.ones, dtype=int, device=model.device)
     search, counts, crossing = SearchState(), FrameCounts(), CrossingWatch()
     search.x, search.skin, search.listed = wp.clone(start), zeros(n, wp.vec4), zeros(n, int)

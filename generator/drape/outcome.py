@@ -44,10 +44,10 @@ def untangle(solver: Solver, worlds: Bool[np.ndarray, " w"]) -> None:
     Each world ends in the state with the fewest crossings, which may be its first.
     """
     with launch_lock:
-        phase = _Phase(solver, worlds)
-        step = solver.captured(phase.step)
+        phase = solver.kept(_Phase)
+        phase.begin(worlds)
     for number in range(1, solver.config.untangling_steps + 1):
-        wp.capture_launch(step)
+        wp.capture_launch(phase.graph)
         if number % POLL_EVERY == 0 and not to_host(phase.active).any():
             break
     with launch_lock:
@@ -55,20 +55,26 @@ def untangle(solver: Solver, worlds: Bool[np.ndarray, " w"]) -> None:
 
 
 class _Phase:
-    """The buffers of the phase, and the launches of one step."""
+    """The buffers of the phase, and the launches of one step as a graph."""
 
-    def __init__(self, solver: Solver, worlds: Bool[np.ndarray, " w"]) -> None:
+    def __init__(self, solver: Solver) -> None:
         model, device = solver.model, solver.model.device
         self._solver, self._parameters = solver, _parameters()
-        self.active = wp.array(worlds.astype(np.int32), dtype=int, device=device)
-        """(w) 1 where the cloth of a given world still has self-crossings."""
-        self._crossings, self._improved = (wp.zeros(model.n_worlds, dtype=int, device=device) for _ in range(2))
-        self._least = wp.full(model.n_worlds, NOT_COUNTED, dtype=int, device=device)
-        self._best = wp.clone(solver.state.x)
+        self.active, self._crossings, self._improved, self._least = (
+            wp.zeros(model.n_worlds, dtype=int, device=device) for _ in range(4)
+        )
+        self._best = wp.empty_like(solver.state.x)
         self._solve = _new_solve(model.n_vertices, model.n_worlds, device)
-        solver.state.push.zero_()
+        self.graph = solver.captured(self._step)
 
-    def step(self) -> None:
+    def begin(self, worlds: Bool[np.ndarray, " w"]) -> None:
+        """Begin with the cloth of the given worlds: ``active`` is 1 where it still has self-crossings."""
+        self.active.assign(worlds.astype(np.int32))
+        self._least.fill_(NOT_COUNTED)
+        wp.copy(self._best, self._solver.state.x)
+        self._solver.state.push.zero_()
+
+    def _step(self) -> None:
         """Count the self-crossings, then move the cloth of the worlds that have any."""
         self._count_crossings()
         solver, solve = self._solver, self._solve
@@ -143,9 +149,9 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     """The drapes of some worlds of a batch; ``jobs[k]`` was draped in ``worlds[k]``."""
     if not worlds:
         return []
-    state, topology = solver.state, solver.model.topology
+    state, model = solver.state, solver.model
     overfull = to_host(state.contacts.overfull)  # read now: the searches below may overflow their lists too
-    chosen = np.isin(np.arange(solver.model.n_worlds), worlds)
+    chosen = np.isin(np.arange(model.n_worlds), worlds)
     if solver.config.untangling_steps:
         with launch_lock:
             crossing = (solver.self_crossings(chosen) > 0) & (to_host(state.status) == DONE)
@@ -161,8 +167,8 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     x, status, frames = (to_host(array) for array in (state.x, state.status, state.frames))
     drapes = []
     for job, w in zip(jobs, worlds, strict=True):
-        vertices = np.array(x[topology.vertex_offset[w] : topology.vertex_offset[w + 1]], np.float32)
-        median, p99 = np.percentile(stretches[topology.edge_offset[w] : topology.edge_offset[w + 1]], [50, 99])
+        vertices = np.array(x[model.vertices[w]], np.float32)
+        median, p99 = np.percentile(stretches[model.edges[w]], [50, 99])
         drape = Drape(
             vertices=vertices,
             outcome=Outcome.SETTLED,
@@ -224,8 +230,8 @@ def slid_worlds(solver: Solver, jobs: Mapping[int, DrapeJob]) -> set[int]:
     stopped = [w for w in np.flatnonzero(to_host(solver.state.status) == STOPPED).tolist() if w in jobs]
     if not stopped:
         return set()
-    x, first = to_host(solver.state.x), solver.model.topology.vertex_offset
-    return {w for w in stopped if slid_off(jobs[w], x[first[w] : first[w + 1]])}
+    x, vertices = to_host(solver.state.x), solver.model.vertices
+    return {w for w in stopped if slid_off(jobs[w], x[vertices[w]])}
 
 
 def slid_off(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> str:

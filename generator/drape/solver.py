@@ -1,6 +1,7 @@
 """The solver of a batch: substeps captured as graphs, on CPU and GPU alike, and replayed frame by frame."""
 
 from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 import warp as wp
@@ -14,6 +15,7 @@ from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.generator.drape.model import ClothModel, new_state
 
+Kept = TypeVar("Kept")
 REBUILD_EVERY = 10  # frames between two builds of the BVH; in between it is refitted
 FINISHING_ROUNDS = 4
 GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; kernels walk longer lists in strides
@@ -37,6 +39,7 @@ class Solver:
         self._roots = wp.zeros(model.n_worlds, dtype=int, device=model.device)
         self._none, self._every = wp.zeros_like(self.state.tangled), wp.ones_like(self.state.tangled)
         self._graphs: list[wp.Graph] = []
+        self._kept: dict[Any, Any] = {}
 
     def frame(self, between: Callable[[], None] = nothing) -> None:
         """One frame: ``config.substeps`` substeps, then the status of each world.
@@ -56,6 +59,10 @@ class Solver:
                 self._bvh.rebuild()
         self._rebuild_at = self.frames + REBUILD_EVERY
 
+    def rebuild_bvh_next(self) -> None:
+        """Build the BVH anew before the next frame: garments have come."""
+        self._rebuild_at = self.frames
+
     def replay_frame(self, between: Callable[[], None] = nothing) -> None:
         """``frame`` with the present BVH."""
         if not self._graphs:
@@ -73,6 +80,13 @@ class Solver:
         with wp.ScopedCapture(device=self.model.device) as capture:
             launches()
         return capture.graph
+
+    def kept(self, make: Callable[["Solver"], Kept]) -> Kept:
+        """What ``make`` returns for this solver, kept with it: buffers and graphs of a phase."""
+        if make not in self._kept:
+            self._kept[make] = make(self)
+        kept: Kept = self._kept[make]
+        return kept
 
     def run_for(self, seconds: float) -> None:
         """Step until every garment has reached a simulated time [s]. Raises ``DrapeError`` if one ends earlier."""
@@ -139,16 +153,17 @@ class Solver:
         skins = []
         for body in self.model.bodies:
             skin = crossing.BodyEdges()
-            skin.mesh, skin.ends = body.mesh.id, body.edges
+            if body is not None:
+                skin.mesh, skin.ends = body.mesh.id, body.edges
             skins.append(skin)
-        longest = max(len(body.edges) for body in self.model.bodies)
+        longest = max(len(body.edges) for body in self.model.bodies if body is not None)
         return wp.array(skins, dtype=crossing.BodyEdges, device=self.model.device), longest
 
     def stretches(self) -> np.ndarray:
         """(e) length over flat length of every edge."""
         m = self.model
         ratio = wp.empty(m.n_edges, dtype=float, device=m.device)
-        self.launch(stillness.stretch_edges, m.n_edges, [m.cloth, m.topology.hinges.spring, self.state.x], [ratio])
+        self.launch(stillness.stretch_edges, m.n_edges, [m.cloth, m.springs, self.state.x], [ratio])
         return to_host(ratio)
 
     def _chosen(self, worlds: Bool[np.ndarray, " w"] | None) -> wp.array:

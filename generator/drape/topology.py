@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -143,19 +144,10 @@ class _MeshBatch:
 
     def rows(self, surface: kernels.ClothSurface, *, coupled: bool) -> Rows:
         """Uninitialised rows for all vertices; ``coupled``: with the corners that fabrics with a grain need."""
-        n = int(self.vertices[-1])
-        widest = max(USUAL, int(np.diff(to_host(surface.first_edge)).max()))
+        widest = int(np.diff(to_host(surface.first_edge)).max())
         if coupled:
             widest = max(widest, int(np.diff(to_host(surface.first_face)).max()))
-        rows = Rows()
-        rows.count, rows.bend_diagonal = self.empty(n, wp.vec2i), self.empty(n, float)
-        rows.lanes, rows.width = 1 if self.device == "cpu" else WARP, widest
-        size = -(-n // rows.lanes) * rows.lanes * widest
-        rows.springs, rows.start_length = self.empty(size, Spring), self.empty(size, float)
-        rows.bends = self.empty(size, Bend)
-        rows.coupled = int(coupled)
-        rows.corners, rows.corner_count = self.empty(size * coupled, Corner), self.empty(n * coupled, int)
-        return rows
+        return empty_rows(int(self.vertices[-1]), widest, self.device, coupled=coupled)
 
     def marked(self, vertices: Sequence[np.ndarray]) -> wp.array:
         """(v) 1 at the given vertices of each garment, 0 elsewhere."""
@@ -181,3 +173,17 @@ class _MeshBatch:
 
     def empty(self, size: int | tuple[int, ...], dtype: type) -> wp.array:
         return wp.empty(size, dtype=dtype, device=self.device)
+
+
+def empty_rows(n: int, width: int, device: str, *, coupled: bool) -> Rows:
+    """Uninitialised rows of ``n`` vertices with up to ``width`` edges; ``coupled``: with corners."""
+    empty = partial(wp.empty, device=device)
+    rows = Rows()
+    rows.count, rows.bend_diagonal = empty(n, dtype=wp.vec2i), empty(n, dtype=float)
+    rows.lanes, rows.width = 1 if device == "cpu" else WARP, max(USUAL, width)
+    size = -(-n // rows.lanes) * rows.lanes * rows.width
+    rows.springs, rows.start_length = empty(size, dtype=Spring), empty(size, dtype=float)
+    rows.bends = empty(size, dtype=Bend)
+    rows.coupled = int(coupled)
+    rows.corners, rows.corner_count = empty(size * coupled, dtype=Corner), empty(n * coupled, dtype=int)
+    return rows

@@ -16,7 +16,7 @@ MIDDLE_SHARE = 0.5  # share of ``body_gap`` that the inside of a long edge keeps
 
 
 @wp.func
-def sample_field(world: World, field: wp.array(dtype=float), x: wp.vec3) -> wp.vec4:
+def sample_field(world: World, x: wp.vec3) -> wp.vec4:
     """Unit gradient and value [cm] of the signed distance at ``x``, trilinear; 1000 cm beyond the grid."""
     g = (x - world.field_origin) / world.field_cell
     nx = world.field_size[0]
@@ -30,17 +30,17 @@ def sample_field(world: World, field: wp.array(dtype=float), x: wp.vec3) -> wp.v
     a = g[0] - float(i)
     b = g[1] - float(j)
     c = g[2] - float(k)
-    at = int(world.field_offset) + (i * ny + j) * nz + k
+    at = (i * ny + j) * nz + k
     dy = nz
     dx = ny * nz
-    f000 = field[at]
-    f001 = field[at + 1]
-    f010 = field[at + dy]
-    f011 = field[at + dy + 1]
-    f100 = field[at + dx]
-    f101 = field[at + dx + 1]
-    f110 = field[at + dx + dy]
-    f111 = field[at + dx + dy + 1]
+    f000 = world.field[at]
+    f001 = world.field[at + 1]
+    f010 = world.field[at + dy]
+    f011 = world.field[at + dy + 1]
+    f100 = world.field[at + dx]
+    f101 = world.field[at + dx + 1]
+    f110 = world.field[at + dx + dy]
+    f111 = world.field[at + dx + dy + 1]
     f00 = wp.lerp(f000, f001, c)
     f01 = wp.lerp(f010, f011, c)
     f10 = wp.lerp(f100, f101, c)
@@ -58,13 +58,13 @@ def sample_field(world: World, field: wp.array(dtype=float), x: wp.vec3) -> wp.v
 
 
 @wp.func
-def nearest_part(world: World, parts: wp.array(dtype=wp.uint8), x: wp.vec3) -> int:
+def nearest_part(world: World, x: wp.vec3) -> int:
     """The body part nearest to ``x``, from the voxel that contains ``x``."""
     g = (x - world.field_origin) / world.field_cell
     i = wp.clamp(int(wp.round(g[0])), 0, world.field_size[0] - 1)
     j = wp.clamp(int(wp.round(g[1])), 0, world.field_size[1] - 1)
     k = wp.clamp(int(wp.round(g[2])), 0, world.field_size[2] - 1)
-    return int(parts[int(world.field_offset) + (i * world.field_size[1] + j) * world.field_size[2] + k])
+    return int(world.field_parts[(i * world.field_size[1] + j) * world.field_size[2] + k])
 
 
 @wp.func
@@ -122,10 +122,10 @@ def push_long_edge(
         t = 0.25 * float(quarter)
         before = wp.lerp(x[i], x[j], t)
         here = before + world.dt * wp.lerp(v[i], v[j], t)
-        near = sample_field(world, cloth.field, here)
+        near = sample_field(world, here)
         if near[3] >= world.body_gap:
             continue
-        part = nearest_part(world, cloth.field_parts, here)
+        part = nearest_part(world, here)
         if is_ignored(cloth.ignored_parts[i] & cloth.ignored_parts[j], part):
             continue
         add_weight(push, i, 1.0 - t)
@@ -149,8 +149,8 @@ def find_skin(i: int, p: wp.vec3, world: World, cloth: ClothArrays) -> wp.vec4:
     A vertex moves by about ``World.travel`` = 0.1 cm between two searches, and a skin of radius R departs from the
     plane by travel² / 2 R: 0.005 cm on a finger.
     """
-    near = sample_field(world, cloth.field, p)
-    if near[3] < world.clear and is_ignored(cloth.ignored_parts[i], nearest_part(world, cloth.field_parts, p)):
+    near = sample_field(world, p)
+    if near[3] < world.clear and is_ignored(cloth.ignored_parts[i], nearest_part(world, p)):
         return wp.vec4(near[0], near[1], near[2], FAR)
     return near
 

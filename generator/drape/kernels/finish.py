@@ -173,14 +173,14 @@ def leave_skin(
         j = ends[0] + ends[1] - i
         for quarter in range(4):
             here = wp.lerp(p, x_in[j], 0.25 * float(quarter))
-            part = nearest_part(world, cloth.field_parts, here)
+            part = nearest_part(world, here)
             if not is_ignored(cloth.ignored_parts[i] & cloth.ignored_parts[j], part):
                 way = nearest_exit(cloth.body_mesh[w], here)
                 if way[3] > deepest[3]:
                     deepest = way
     out = nearest_exit(cloth.body_mesh[w], p)
     if height[i] > 0.0 and height[i] + CLEAR > deepest[3]:
-        if not is_ignored(cloth.ignored_parts[i], nearest_part(world, cloth.field_parts, p)):
+        if not is_ignored(cloth.ignored_parts[i], nearest_part(world, p)):
             deepest = wp.vec4(out[0], out[1], out[2], height[i] + CLEAR)
     moved = p + deepest[3] * wp.vec3(deepest[0], deepest[1], deepest[2]) - x_start[i]
     length = wp.length(moved)

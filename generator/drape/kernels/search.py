@@ -339,7 +339,7 @@ def find_long_edges(
     from_skin = skin[i][3]
     if from_skin > limit + half + FIELD_SLACK and from_skin < FAR:
         return  # the midpoint is nearer to the skin by half an edge at most
-    middle = sample_field(world, cloth.field, wp.lerp(x[i], x[j], 0.5))
+    middle = sample_field(world, wp.lerp(x[i], x[j], 0.5))
     if middle[3] > limit:
         return
     slot = take_slot(contacts.long_count, w, world, contacts)

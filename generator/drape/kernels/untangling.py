@@ -200,8 +200,8 @@ def assemble(
         push[i, k] = 0
     force = elastic_force(i, 1.0, rows, x) + world.stiffness * asked
     force += wp.vec3(0.0, -cloth.mass[i] * world.gravity, 0.0)
-    skin = sample_field(world, cloth.field, p)
-    if skin[3] < world.body_gap and not is_ignored(cloth.ignored_parts[i], nearest_part(world, cloth.field_parts, p)):
+    skin = sample_field(world, p)
+    if skin[3] < world.body_gap and not is_ignored(cloth.ignored_parts[i], nearest_part(world, p)):
         depth = world.body_gap - skin[3]
         force += (world.stiffness * phase.body_stiffness * depth) * wp.vec3(skin[0], skin[1], skin[2])
         diagonal += world.stiffness * phase.body_grip
@@ -384,11 +384,11 @@ def move_cloth(
     distance = wp.length(move)
     if distance > phase.max_move:
         move = move * (phase.max_move / distance)
-    before = sample_field(world, cloth.field, x[i])
+    before = sample_field(world, x[i])
     p = x[i] + move
-    skin = sample_field(world, cloth.field, p)
+    skin = sample_field(world, p)
     allowed = wp.min(before[3], world.body_gap)
-    if skin[3] < allowed and not is_ignored(cloth.ignored_parts[i], nearest_part(world, cloth.field_parts, p)):
+    if skin[3] < allowed and not is_ignored(cloth.ignored_parts[i], nearest_part(world, p)):
         p += (allowed - skin[3]) * wp.vec3(skin[0], skin[1], skin[2])
     x[i] = p
 

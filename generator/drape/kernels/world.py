@@ -48,7 +48,8 @@ class World:
     floor: float  # cm, height below which a garment has fallen
     keepers: int  # number of vertices that keep the garment up
     holds: int  # number of vertices with a hold
-    field_offset: wp.int64  # first voxel of the body's distance field
+    field: wp.array(dtype=float)  # signed distance from the body of each voxel, z fastest [cm]
+    field_parts: wp.array(dtype=wp.uint8)  # body part nearest to each voxel
     field_size: wp.vec3i  # voxels along x, y, z
     field_origin: wp.vec3  # cm, centre of the first voxel
     field_cell: float  # cm
@@ -74,8 +75,6 @@ class ClothArrays:
     axes: wp.array2d(dtype=wp.vec3)  # (2 w, parts) upper and lower end of the axis of every body part [cm]
     keeper: wp.array(dtype=wp.uint8)  # (v) 1 where a vertex keeps the garment up
     ignored_parts: wp.array(dtype=int)  # (v) bit set of the body parts that the vertex passes through
-    field: wp.array(dtype=float)  # signed distances of all bodies' voxels, see ``World.field_offset`` [cm]
-    field_parts: wp.array(dtype=wp.uint8)  # body part nearest to each voxel
     body_mesh: wp.array(dtype=wp.uint64)  # (w) mesh of the skin
 
 

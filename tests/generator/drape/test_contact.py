@@ -411,7 +411,7 @@ def untangled(*jobs: DrapeJob) -> list[Float[np.ndarray, "v 3"]]:
     solver = solver_of(*jobs)
     untangle(solver, solver.self_crossings() > 0)
     x = solver.state.x.numpy()
-    return [x[a:b].copy() for a, b in pairwise(solver.model.topology.vertex_offset)]
+    return [x[span].copy() for span in solver.model.vertices]
 
 
 def test_a_corner_leaves_the_sheet_that_it_pierces() -> None:

@@ -23,7 +23,7 @@ from gcd_dataset.generator.drape import (
     seconds_to_drape,
 )
 from gcd_dataset.generator.drape import device as devices
-from gcd_dataset.generator.drape.kernels import carry
+from gcd_dataset.generator.drape.kernels import place
 from gcd_dataset.generator.drape.solver import Solver
 from tests.helpers import SIZE, far_ball, patch
 
@@ -59,15 +59,15 @@ def test_compiling_is_logged_once(
 ) -> None:
     assert devices.resolve_device("cpu") == "cpu"
     monkeypatch.setattr(devices, "_loaded", set())
-    devices.load_kernels("test", carry, device="cpu")
+    devices.load_kernels("test", place, device="cpu")
     caplog.clear()
     monkeypatch.setattr(devices, "_loaded", set())
-    devices.load_kernels("test", carry, device="cpu")
+    devices.load_kernels("test", place, device="cpu")
     assert not caplog.records
     monkeypatch.setattr(devices, "_loaded", set())
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     assert not kernels_compiled("cpu")
-    devices.load_kernels("test", carry, device="cpu")
+    devices.load_kernels("test", place, device="cpu")
     assert [record.getMessage().split(",")[0] for record in caplog.records] == [
         "compiling the kernels of the test for cpu"
     ]

@@ -1,0 +1,208 @@
+"""Places for garments in the buffers of one solver: garments enter and leave while others drape.
+
+The buffers have a fixed size, so the captured graphs stay valid. A garment takes a range of vertices, and edges and
+faces in proportion; what it gets does not depend on its place.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from gcd_dataset.generator.drape.config import DrapeConfig
+from gcd_dataset.generator.drape.device import to_host
+from gcd_dataset.generator.drape.kernels import place as kernels
+from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, Placement
+from gcd_dataset.generator.drape.kernels.world import DONE
+from gcd_dataset.generator.drape.model import ClothModel, empty_model
+from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.mesh import CoarseMesh
+from gcd_dataset.records import BoxMesh
+
+ALIGNED = 32  # vertices: the rows of as many are interleaved
+WIDTH = 12  # edges of a vertex for which there is room at least
+MIN_FRAMES = 4  # frames of the fine mesh before it may count as at rest
+THREADS = 256  # that clear one place on a GPU
+
+
+@dataclass(frozen=True)
+class CoarseEnd:
+    """The end of a garment's coarse drape, from which its fine drape starts."""
+
+    mesh: CoarseMesh
+    x: wp.array
+    """Positions of all garments of the batch [cm]."""
+    v: wp.array
+    """Velocities [cm/s]."""
+    first: int
+    """The garment's first vertex in these."""
+    time: float
+    """[s]"""
+    held: int
+    overfull: int
+    """1 where a contact list was full: which contacts were dropped is not deterministic, nor is the drape."""
+
+
+def room_for(mesh: BoxMesh) -> int:
+    """Vertices of the place that a garment needs, without counting its edges: about as many as vertices and faces."""
+    vertices, faces = len(mesh.vertices), len(mesh.faces)
+    return _aligned(max(vertices + 1, -(-faces // int(FACES)), -(-(vertices + faces + 64) // int(EDGES))))
+
+
+def rooms_of(model: ClothModel) -> list[int]:
+    """Vertices of the place that each garment of a model takes."""
+    return [
+        _aligned(max(_count(v) + 1, -(-_count(f) // int(FACES)), -(-_count(e) // int(EDGES))))
+        for v, e, f in zip(model.vertices, model.edges, model.faces, strict=True)
+    ]
+
+
+def _count(span: slice) -> int:
+    return int(span.stop - span.start)
+
+
+def _aligned(vertices: int) -> int:
+    return -(-vertices // ALIGNED) * ALIGNED
+
+
+class Slots:
+    """A solver whose worlds are filled and freed one by one; ``worlds``: number of garments at once."""
+
+    def __init__(
+        self, room: int, worlds: int, config: DrapeConfig, device: str, *, width: int = WIDTH, coupled: bool = False
+    ) -> None:
+        # The first vertices belong to no garment: unused faces and edges lie there.
+        self.room, self.coupled, self._nobody = room, coupled, worlds
+        model = empty_model(room + ALIGNED, worlds, width, device, coupled=coupled)
+        self.solver = Solver(model, config)
+        self.solver.state.status.fill_(DONE)
+        self._config = config
+        self._free = [(ALIGNED, room)]
+        """First vertex and number of vertices of each unused range, in order."""
+        self._places: dict[int, tuple[int, int]] = {}
+        self._rows = to_host(model.worlds)
+        self._axes, self._meshes = to_host(model.cloth.axes), to_host(model.cloth.body_mesh)
+
+    def suits(self, model: ClothModel) -> bool:
+        """Whether the rows have room for those of a model."""
+        rows = self.solver.model.rows
+        return bool(model.rows.width <= rows.width and model.rows.coupled <= rows.coupled)
+
+    def count_fitting(self, rooms: Sequence[int]) -> int:
+        """How many of the first garments that need these places may fit, whatever the order of the free ranges."""
+        free = sum(size for _, size in self._free)
+        return int((np.cumsum(rooms) <= free).sum())
+
+    def place(self, new: ClothModel, starts: Sequence[CoarseEnd | None]) -> list[int]:
+        """Write garments into free places, in order, as long as there is room; returns their worlds.
+
+        ``new``: the model of these garments. ``starts``: the coarse drape from which each starts, if any.
+        """
+        worlds: list[int] = []
+        for room in rooms_of(new):
+            taken = self._take(room)
+            if taken is None:
+                break
+            worlds.append(next(w for w in range(self._nobody) if w not in self._places))
+            self._places[worlds[-1]] = taken
+        if worlds:
+            self._write(new, starts, worlds)
+        return worlds
+
+    def free(self, worlds: Sequence[int]) -> None:
+        """Give up the places of garments."""
+        if not worlds:
+            return
+        model = self.solver.model
+        places = np.array([self._places.pop(w) for w in worlds], np.int32)
+        for first, size in places.tolist():
+            self._give_back(first, size)
+        for w in worlds:
+            model.bodies[w] = None
+            model.vertices[w] = model.edges[w] = model.faces[w] = slice(0, 0)
+        threads = 1 if model.device == "cpu" else THREADS
+        inputs = [wp.array(places, dtype=wp.vec2i, device=model.device), threads, self._nobody]
+        self._launch(kernels.clear_places, (len(places), threads), inputs, [model.cloth, model.face_world])
+
+    def _take(self, size: int) -> tuple[int, int] | None:
+        """The first free range of ``size`` vertices."""
+        for number, (first, free) in enumerate(self._free):
+            if free >= size:
+                self._free[number : number + 1] = [(first + size, free - size)] if free > size else []
+                return first, size
+        return None
+
+    def _give_back(self, first: int, size: int) -> None:
+        merged: list[tuple[int, int]] = []
+        for begin, free in sorted([*self._free, (first, size)]):
+            if merged and sum(merged[-1]) == begin:
+                merged[-1] = (merged[-1][0], merged[-1][1] + free)
+            else:
+                merged.append((begin, free))
+        self._free = merged
+
+    def _write(self, new: ClothModel, starts: Sequence[CoarseEnd | None], worlds: Sequence[int]) -> None:
+        model, state = self.solver.model, self.solver.state
+        count = len(worlds)
+        parameters, axes, meshes = (to_host(a) for a in (new.worlds, new.cloth.axes, new.cloth.body_mesh))
+        x, v = wp.clone(new.start), wp.zeros_like(new.start)
+        placements = []
+        for k, w in enumerate(worlds):
+            first, start = self._places[w][0], starts[k]
+            self._rows[w], self._meshes[w] = parameters[k], meshes[k]
+            self._rows[w]["first"] = first
+            self._axes[2 * w : 2 * w + 2] = axes[2 * k : 2 * k + 2]
+            model.bodies[w] = new.bodies[k]
+            at = [first, int(EDGES) * first, int(FACES) * first]
+            spans = [new.vertices[k], new.edges[k], new.faces[k]]
+            for own, begin, span in zip((model.vertices, model.edges, model.faces), at, spans, strict=True):
+                own[w] = slice(begin, begin + _count(span))
+            if start is not None:
+                self._interpolate(start, spans[0], x, v)
+            placements.append(_placement(w, at, spans, parameters[k], start))
+        model.worlds.assign(self._rows)
+        model.cloth.axes.assign(self._axes)
+        model.cloth.body_mesh.assign(self._meshes)
+        places = wp.array(placements, dtype=Placement, device=model.device)
+        vertices, edges, faces = new.vertices[count - 1].stop, new.edges[count - 1].stop, new.faces[count - 1].stop
+        state_out = [state.x, state.v, state.ahead, state.x_seen, state.search, state.contact_weight, state.beside]
+        self._launch(
+            kernels.place_vertices,
+            vertices,
+            [places, new.cloth, new.rows, x, v],
+            [model.cloth, model.rows, *state_out, state.tangled, state.push],
+        )
+        self._launch(kernels.place_edges, edges, [places, new.cloth, new.springs], [model.cloth, model.springs])
+        self._launch(kernels.place_faces, faces, [places, new.cloth], [model.cloth, model.face_world])
+        outputs = [state.time, state.status, state.held, state.loose_after, state.frames, state.contacts]
+        self._launch(kernels.place_worlds, count, [places], [*outputs, state.search, state.crossing])
+        self.solver.rebuild_bvh_next()
+
+    def _interpolate(self, start: CoarseEnd, vertices: slice, x: wp.array, v: wp.array) -> None:
+        device = self.solver.model.device
+        corners = wp.array((start.mesh.corners + start.first).astype(np.int32), dtype=wp.vec3i, device=device)
+        weights = wp.array(start.mesh.weights.astype(np.float32), dtype=wp.vec3, device=device)
+        inputs = [corners, weights, vertices.start, start.x, start.v]
+        self._launch(kernels.interpolate, len(corners), inputs, [x, v])
+
+    def _launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.solver.model.device)
+
+
+def _placement(
+    w: int, at: Sequence[int], spans: Sequence[slice], world: np.ndarray, start: CoarseEnd | None
+) -> Placement:
+    """The place of the garment of ``spans`` (vertices, edges, faces), whose first ones come to ``at``."""
+    place = Placement()
+    vertices, edges, faces = spans
+    place.world, place.last, place.dt = w, vertices.stop - 1, float(world["dt"])
+    place.vertex_shift, place.edge_shift, place.face_shift = (
+        to - span.start for to, span in zip(at, spans, strict=True)
+    )
+    place.edge_entries, place.face_entries = 2 * (at[1] - edges.start), 3 * (at[2] - faces.start)
+    place.held = 1
+    if start is not None:
+        place.time, place.held, place.overfull = start.time, start.held, start.overfull
+        place.loose_after = start.time + MIN_FRAMES * float(world["frame"])
+    return place
