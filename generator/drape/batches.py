@@ -252,13 +252,15 @@ class Lane:
 
         Returns the number and drape of each collected garment.
         """
-        with self._on_stream():
-            if not self._is_due and self.replaces(arrived):
+        if not self._is_due and self.replaces(arrived):
+            with self._on_stream(urgent=True):
                 return self._collect()
-            if self._is_due:
+        if self._is_due:
+            with self._on_stream(urgent=True):
                 self._place()
-            if self._passes:
-                assert self._slots is not None
+        if self._passes:
+            assert self._slots is not None
+            with self._on_stream():
                 self._slots.solver.refresh_bvh()
                 self._queue(POLL_EVERY)
         return []
@@ -373,9 +375,9 @@ class Lane:
         if self._stream is not None:
             self._stream.wait()
 
-    def _on_stream(self) -> contextlib.AbstractContextManager[None]:
+    def _on_stream(self, *, urgent: bool = False) -> contextlib.AbstractContextManager[None]:
         """Launch on the lane's stream; a CPU has none."""
-        return contextlib.nullcontext() if self._stream is None else self._stream.active()
+        return contextlib.nullcontext() if self._stream is None else self._stream.active(urgent=urgent)
 
 
 LANES = 3  # batches on a GPU: while the host replaces garments of one, the frames of the others keep the GPU busy

@@ -189,7 +189,8 @@ class _SkinTopology:
     hands: Int[np.ndarray, " h"]  # faces of both hands
     extremities: tuple[Int[np.ndarray, " h"], Int[np.ndarray, " f"], Int[np.ndarray, " c"]]
     """Vertices of the faces of both hands, of both feet, and of the head. Without feet: of both legs."""
-    trunk: Int[np.ndarray, " t"]  # vertices of the faces of the trunk
+    limbs: tuple[Int[np.ndarray, " l"], Int[np.ndarray, " r"], Int[np.ndarray, " t"]]
+    """Vertices of the faces of the left arm, the right arm and the trunk."""
     axis_vertices: tuple[Int[np.ndarray, " a"], ...]
     """For each of ``AXES`` a vertex of every eighth face of its parts; of the whole body if it lacks the parts."""
 
@@ -213,7 +214,7 @@ class _SkinTopology:
             (left, right),
             hands,
             (np.unique(skin.faces[hands]), np.unique(skin.faces[feet]), np.unique(skin.faces[head])),
-            np.unique(skin.faces[trunk]),
+            (np.unique(skin.faces[left]), np.unique(skin.faces[right]), np.unique(skin.faces[trunk])),
             tuple(own if len(own) else corner for own in sampled),
         )
 
@@ -280,12 +281,12 @@ def _extremities(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> tupl
     Some segmentations, such as GarmentCode's, count hands as arms, feet as legs and the head as trunk.
     """
     hands, feet, head = (points[part] for part in known.extremities)
-    arms = [points[np.unique(known.skin.faces[arm])] for arm in known.arms]
+    *arms, trunk = (points[limb] for limb in known.limbs)
     if not len(hands):
         hands = np.concatenate([_hand_of(arm) for arm in arms])
     cranium = CRANIUM if len(head) else OVER_NECK
     if not len(head):
-        head = _head_of(points[known.trunk], np.concatenate(arms))
+        head = _head_of(trunk, np.concatenate(arms))
     toes = feet[feet[:, 1] < feet[:, 1].min(initial=np.inf) + TOES]
     sides = [part[side] for part in (hands, toes) for side in (part[:, 0] > 0.0, part[:, 0] <= 0.0)]
     if len(head):

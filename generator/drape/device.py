@@ -182,7 +182,8 @@ def kernels_cached(*modules: ModuleType, device: str) -> bool:
     return all(any(path.suffix in endings for path in (cache_folder / name).glob("*")) for name in names)
 
 
-NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING, flag of cuStreamCreate
+NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING, flag of cuStreamCreateWithPriority
+URGENT = -1  # the priority of the default stream is 0, lower numbers come first
 
 
 class WorkStream:
@@ -195,16 +196,19 @@ class WorkStream:
 
     def __init__(self, gpu: wp.Device) -> None:
         self._gpu = gpu
-        self._stream = wp.Stream(gpu, cuda_stream=_new_stream(gpu))
+        self._stream, self._urgent = (wp.Stream(gpu, cuda_stream=_new_stream(gpu, each)) for each in (0, URGENT))
         self._allocator = _DeferredFrees(gpu)
         self._reached = wp.Event(gpu)
 
     @contextlib.contextmanager
-    def active(self) -> Iterator[None]:
-        """Launch and allocate on this stream within the block."""
+    def active(self, *, urgent: bool = False) -> Iterator[None]:
+        """Launch and allocate on this stream within the block; ``urgent``: before the waiting work of all streams.
+
+        Call ``wait`` between urgent and other work.
+        """
         with (
             launch_lock,
-            wp.ScopedStream(self._stream, sync_enter=False),
+            wp.ScopedStream(self._urgent if urgent else self._stream, sync_enter=False),
             wp.ScopedAllocator(self._gpu, self._allocator),
         ):
             yield
@@ -213,6 +217,7 @@ class WorkStream:
         """Wait until the device has ended this stream's work, then free the arrays that were dropped meanwhile."""
         with launch_lock:
             wp.synchronize_stream(self._stream)
+            wp.synchronize_stream(self._urgent)
             self._allocator.free_dropped()
 
     def mark(self) -> None:
@@ -225,6 +230,7 @@ class WorkStream:
 
 
 _streams: dict[tuple[str, int], WorkStream] = {}
+_builders: dict[str, wp.Stream] = {}
 
 
 def work_streams(device: str, count: int) -> list[WorkStream | None]:
@@ -239,8 +245,8 @@ def work_streams(device: str, count: int) -> list[WorkStream | None]:
 def native_builds(device: str) -> Iterator[None]:
     """Build a ``Mesh`` or ``Bvh`` within the block, after the current stream's work and before its further work.
 
-    Warp's native code frees memory that the build's kernels still use. The default stream waits for them, a
-    ``WorkStream`` would not.
+    Warp's native code frees memory that the build's kernels still use. The default stream, on which it does so, waits
+    for Warp's own streams; it would not wait for a ``WorkStream``.
     """
     gpu = wp.get_device(device)
     if not gpu.is_cuda:
@@ -248,9 +254,10 @@ def native_builds(device: str) -> Iterator[None]:
         return
     with launch_lock:
         wp.synchronize_stream(gpu.stream)
-        with wp.ScopedStream(gpu.null_stream, sync_enter=False):
+        stream = _builders.get(device) or _builders.setdefault(device, wp.Stream(gpu, priority=URGENT))
+        with wp.ScopedStream(stream, sync_enter=False):
             yield
-        wp.synchronize_stream(gpu.null_stream)
+        wp.synchronize_stream(stream)
 
 
 class _DeferredFrees:
@@ -272,12 +279,12 @@ class _DeferredFrees:
                 self._pool.deallocate(*self._dropped.popleft())
 
 
-def _new_stream(gpu: wp.Device) -> int:
+def _new_stream(gpu: wp.Device, priority: int) -> int:
     """The handle of a new stream that does not synchronise with CUDA's default stream."""
     driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     handle = ctypes.c_void_p()
     with gpu.context_guard:
-        error = driver.cuStreamCreate(ctypes.byref(handle), NON_BLOCKING)
+        error = driver.cuStreamCreateWithPriority(ctypes.byref(handle), NON_BLOCKING, priority)
     if error or handle.value is None:
         raise DrapeError(f"{gpu.alias}: CUDA made no stream (error {error}): start again, on another GPU if it repeats")
     return handle.value

@@ -10,7 +10,6 @@ from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.generator.drape.body_field import AXES, FOREARM
@@ -50,8 +49,13 @@ class BodyConstraints:
 
     @classmethod
     def of(cls, job: DrapeJob) -> Self:
+        mesh, panel_of_row = job.box_mesh, _panel_of_row(job.box_mesh)
         return cls(
-            *holds(job), ignored_parts(job.box_mesh), own_parts(job.box_mesh), *find_keepers(job), floor_height(job)
+            *holds(job),
+            ignored_parts(mesh, panel_of_row),
+            own_parts(mesh, panel_of_row),
+            *find_keepers(job),
+            floor_height(job),
         )
 
 
@@ -148,18 +152,21 @@ def fell(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> str:
 
 
 def _pieces(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
-    """The connected component of each vertex."""
-    sides = mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2)
-    graph = coo_array((np.ones(len(sides), bool), sides.T), shape=(len(mesh.vertices), len(mesh.vertices)))
-    _, piece = connected_components(graph, directed=False)
-    return np.asarray(piece)
+    """The connected component of each vertex: panels that share a vertex belong together."""
+    panel_of_row = _panel_of_row(mesh)
+    panel = np.empty(len(mesh.vertices), int)
+    panel[mesh.uv_vertex] = panel_of_row
+    shared = np.zeros((len(mesh.panel_names),) * 2, bool)
+    shared[panel[mesh.uv_vertex], panel_of_row] = True
+    _, piece = connected_components(shared, directed=False)
+    return np.asarray(piece)[panel]
 
 
 def _hangs_from_shoulders(job: DrapeJob) -> bool:
     return bool(NECKLINE & job.box_mesh.labels.keys())
 
 
-def ignored_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
+def ignored_parts(mesh: BoxMesh, panel_of_row: Int[np.ndarray, " c"]) -> Int[np.ndarray, " v"]:
     """Collision filter: bit set of the body parts that each vertex passes through.
 
     Skirts and trousers ignore the arms, sleeveless bodices above them the forearms: in an A-pose the arms hang where a
@@ -170,7 +177,6 @@ def ignored_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
     on_leg, on_arm = labels == PanelRole.LEG, labels == PanelRole.ARM
     forearms = 1 << FOREARM
     arms = forearms | sum(1 << part.value for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS))
-    panel_of_row = _panel_of_row(mesh)
     touched = np.zeros(len(mesh.vertices), bool)
     touched[mesh.uv_vertex[on_arm[panel_of_row]]] = True
     sewn_to_arm = np.bincount(panel_of_row, touched[mesh.uv_vertex], minlength=len(labels)) > 0
@@ -180,13 +186,12 @@ def ignored_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
     return ignored
 
 
-def own_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
+def own_parts(mesh: BoxMesh, panel_of_row: Int[np.ndarray, " c"]) -> Int[np.ndarray, " v"]:
     """Index into ``BodyField.axes`` of the body part that each vertex covers; -1 for panels without a label.
 
     Sleeves and trouser legs take the side on which their panel is placed. A seam vertex takes the last of its panels.
     """
     axes = list(AXES)
-    panel_of_row = _panel_of_row(mesh)
     side_sum = np.bincount(panel_of_row, mesh.vertices[mesh.uv_vertex, 0], minlength=len(mesh.panel_names))
     axis = np.full(len(mesh.panel_names), -1)
     for panel, (name, label) in enumerate(zip(mesh.panel_names, mesh.panel_labels, strict=True)):

@@ -141,7 +141,7 @@ def empty_model(room: int, worlds: int, width: int, device: str, *, coupled: boo
     """A model without garments, with room for ``room`` vertices in ``worlds`` worlds; its last world stays empty.
 
     ``width``: most edges of a vertex. ``coupled``: with room for the corners that fabrics with a grain need. All
-    vertices belong to the last world; all faces and edges have their ends in vertex 0.
+    vertices belong to the last world, and each face to one of its own; all faces and edges have their ends in vertex 0.
     """
     make = partial(_zeros, device)
     cloth, edges, faces = ClothArrays(), int(EDGES) * room, int(FACES) * room
@@ -162,7 +162,7 @@ def empty_model(room: int, worlds: int, width: int, device: str, *, coupled: boo
         rows=empty_rows(room, width, device, coupled=coupled),
         springs=make(edges, wp.vec3),
         start=make(room, wp.vec3),
-        face_world=wp.full(faces, worlds, dtype=int, device=device),
+        face_world=wp.array(worlds + np.arange(faces, dtype=np.int32), dtype=int, device=device),
         bodies=[None] * (worlds + 1),
         vertices=[nowhere] * (worlds + 1),
         edges=[nowhere] * (worlds + 1),

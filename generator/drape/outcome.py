@@ -168,7 +168,7 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     drapes = []
     for job, w in zip(jobs, worlds, strict=True):
         vertices = np.array(x[model.vertices[w]], np.float32)
-        median, p99 = np.percentile(stretches[model.edges[w]], [50, 99])
+        median, p99 = _quantiles(stretches[model.edges[w]], np.array([0.5, 0.99]))
         drape = Drape(
             vertices=vertices,
             outcome=Outcome.SETTLED,
@@ -182,6 +182,14 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
         outcome, reason = _judge(job, drape, solver.config, int(status[w]), overfull=bool(overfull[w]))
         drapes.append(replace(drape, outcome=outcome, reason=reason))
     return drapes
+
+
+def _quantiles(values: Float[np.ndarray, " n"], shares: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"]:
+    """As ``np.quantile``, which takes ten times as long."""
+    at = shares * (len(values) - 1)
+    low, high = np.floor(at).astype(int), np.ceil(at).astype(int)
+    parted = np.partition(values, np.concatenate([low, high]))
+    return np.asarray(parted[low] + (at - low) * (parted[high] - parted[low]))
 
 
 def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool) -> tuple[Outcome, str]:

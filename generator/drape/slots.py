@@ -118,12 +118,15 @@ class Slots:
         places = np.array([self._places.pop(w) for w in worlds], np.int32)
         for first, size in places.tolist():
             self._give_back(first, size)
+        self._rows["size"][list(worlds)] = 0
+        model.worlds.assign(self._rows)
         for w in worlds:
             model.bodies[w] = None
             model.vertices[w] = model.edges[w] = model.faces[w] = slice(0, 0)
         threads = 1 if model.device == "cpu" else THREADS
         inputs = [wp.array(places, dtype=wp.vec2i, device=model.device), threads, self._nobody]
         self._launch(kernels.clear_places, (len(places), threads), inputs, [model.cloth, model.face_world])
+        self.solver.rebuild_bvh_next()
 
     def _take(self, size: int) -> tuple[int, int] | None:
         """The first free range of ``size`` vertices."""

@@ -60,7 +60,7 @@ class Solver:
         self._rebuild_at = self.frames + REBUILD_EVERY
 
     def rebuild_bvh_next(self) -> None:
-        """Build the BVH anew before the next frame: garments have come."""
+        """Build the BVH anew before the next frame: garments have come or gone."""
         self._rebuild_at = self.frames
 
     def replay_frame(self, between: Callable[[], None] = nothing) -> None:
@@ -313,7 +313,7 @@ class Solver:
         """Refit the BVH to the current positions."""
         self._bound_faces()
         self._bvh.refit()
-        self.launch(crossing.find_roots, self.model.n_worlds, [self._bvh.id], [self._roots])
+        self.launch(crossing.find_roots, self.model.n_worlds, [self.model.worlds, self._bvh.id], [self._roots])
 
     def refitted_bvh(self) -> tuple[int, wp.array]:
         """The identifier of the BVH, refitted to the current positions, and the root of each world's subtree in it."""

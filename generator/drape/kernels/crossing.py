@@ -19,13 +19,15 @@ GLANCING = 0.1  # lower limit of |E·N| in the division
 
 @wp.kernel
 def find_roots(
+    worlds: wp.array(dtype=World),
     bvh: wp.uint64,
     # out
     roots: wp.array(dtype=int),
 ):
     """Look up the root of each world's subtree in the BVH, once for all queries."""
     w = wp.tid()
-    roots[w] = wp.bvh_get_group_root(bvh, w)
+    if worlds[w].size > 0:  # a search for a world without faces visits all nodes
+        roots[w] = wp.bvh_get_group_root(bvh, w)
 
 
 @wp.kernel

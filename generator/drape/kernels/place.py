@@ -232,6 +232,6 @@ def clear_places(
         cloth.vertex_world[i] = nobody
     for f in range(FACES * first + thread, FACES * end, threads):
         cloth.faces[f] = wp.vec3i(0, 0, 0)
-        face_world[f] = nobody
+        face_world[f] = nobody + f  # a group of its own in the BVH: equal boxes of a group would become a list
     for e in range(EDGES * first + thread, EDGES * end, threads):
         cloth.edges[e] = wp.vec2i(0, 0)

@@ -5,7 +5,6 @@ import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import pairwise
 from unittest.mock import Mock
 
 import numpy as np
