@@ -11,7 +11,8 @@ are over the faster one. ``webdataset`` reads our tars one after the other. A li
 ``open``: a data set of 229 376 samples is opened, filtered by grade, and pickled. ``stream_over_random``: a first pass
 with ``streaming=True`` over a first pass in random order with an empty cache, which makes the columns. ``wait``: share
 of the time that a training on 512 points of each garment, with a network of two layers, waits for the batches that
-``GarmentLoader`` reads from the disk; the shorter its steps, the larger.
+``GarmentLoader`` reads from the disk; the shorter its steps and its epochs, the larger: nothing is read ahead of an
+epoch's first batch.
 """
 
 import argparse
@@ -40,7 +41,7 @@ WIDTH = 256  # of the network that is trained
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--count", type=int, default=192, help="synthetic garments; 0.2 MB each, and 1.2 MB a library")
+    parser.add_argument("--count", type=int, default=512, help="synthetic garments; 0.2 MB each, and 1.2 MB a library")
     parser.add_argument("--data", type=Path, help="a folder of draped garments to load instead")
     parser.add_argument("--seconds", type=float, default=20.0, help="duration for each choice of fields")
 

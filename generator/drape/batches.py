@@ -380,7 +380,7 @@ class Lane:
         return contextlib.nullcontext() if self._stream is None else self._stream.active(urgent=urgent)
 
 
-LANES = 3  # batches on a GPU: while the host replaces garments of one, the frames of the others keep the GPU busy
+LANES = 4  # batches on a GPU: while the host replaces garments of one, the frames of the others keep the GPU busy
 POLL_SECONDS = 1e-4  # s
 
 
@@ -403,7 +403,7 @@ def drape_unordered(
 
     ``jobs`` may receive jobs while others drape; it yields ``None`` whenever it has no job, and numbers count jobs
     only. ``arrived`` returns how many jobs ``jobs`` could yield now. The generator ends when all garments are draped
-    and ``jobs`` has none. ``lanes``: batches that share the device (default: three on a GPU). ``between`` is called
+    and ``jobs`` has none. ``lanes``: batches that share the device (default: four on a GPU). ``between`` is called
     between substeps on a CPU, while frames run on a GPU; an exception that it raises ends the drapes.
     """
     pending = PendingJobs(jobs, config)

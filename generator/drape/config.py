@@ -86,7 +86,7 @@ class DrapeConfig:
     calm_speed: float = 18.0
     """Over the second half of the frames the speed limit of rest rises linearly from ``still_speed`` to this: 0.03 cm
     in 1/600 s, the limit of Korosteleva et al. [cm/s]."""
-    moving_share: float = 0.015
+    moving_share: float = 0.06
     """A garment is at rest when at most this share of its vertices moves."""
     max_body_crossings: int = 35
     """Limit of cloth edges that cross the skin, including the skin of parts that the cloth may pass through. This limit

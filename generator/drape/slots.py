@@ -100,12 +100,13 @@ class Slots:
         ``new``: the model of these garments. ``starts``: the coarse drape from which each starts, if any.
         """
         worlds: list[int] = []
-        for room in rooms_of(new):
+        unused = [w for w in range(self._nobody) if w not in self._places]
+        for room, w in zip(rooms_of(new), unused, strict=False):
             taken = self._take(room)
             if taken is None:
                 break
-            worlds.append(next(w for w in range(self._nobody) if w not in self._places))
-            self._places[worlds[-1]] = taken
+            self._places[w] = taken
+            worlds.append(w)
         if worlds:
             self._write(new, starts, worlds)
         return worlds

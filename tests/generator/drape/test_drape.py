@@ -11,11 +11,12 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch
-from gcd_dataset.generator.drape.batches import drape_unordered, start_from_coarse
+from gcd_dataset.generator.drape.batches import drape_unordered
 from gcd_dataset.generator.drape.holds import fell, find_keepers, holds, off_body
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off
+from gcd_dataset.generator.drape.slots import CoarseEnd, Slots, room_for, rooms_of
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.garments.overlay import Overlay
@@ -214,11 +215,54 @@ def test_an_overfull_contact_list_of_the_coarse_pass_is_reported() -> None:
     job, config = on_a_ball(9), DrapeConfig()
     coarse = coarsen(job.box_mesh)
     first = Solver(build_model([replace(job, box_mesh=coarse.mesh)], config, "cpu", coarse=[0]), config)
-    first.state.contacts.overfull.fill_(1)
-    then = Solver(build_model([job], config, "cpu"), config)
-    start_from_coarse(first, then, [(0, 0, coarse)])
-    [drape] = collect(then, [job], [0])
+    end = CoarseEnd(coarse, first.state.x, first.state.v, first=0, time=0.0, held=1, overfull=1)
+    slots = Slots(room_for(job.box_mesh), 1, config, "cpu")
+    assert slots.place(build_model([job], config, "cpu"), [end]) == [0]
+    [drape] = collect(slots.solver, [job], [0])
     assert drape.outcome is Outcome.OVERFULL
+
+
+def test_garments_enter_and_leave_a_batch_without_a_change_for_others() -> None:
+    """Positions after some frames are those of a batch of its own, whoever was or is beside a garment."""
+    jobs, config = [on_a_ball(size) for size in (9, 13, 7, 11)], DrapeConfig()
+    models = [build_model([job], config, "cpu") for job in jobs]
+    slots = Slots(2 * max(rooms_of(model)[0] for model in models), 2, config, "cpu")
+
+    def frames(count: int) -> None:
+        for _ in range(count):
+            slots.solver.frame()
+
+    def require_same(number: int, world: int, count: int) -> None:
+        alone = Solver(models[number], config)
+        for _ in range(count):
+            alone.frame()
+        positions = slots.solver.state.x.numpy()[slots.solver.model.vertices[world]]
+        np.testing.assert_array_equal(positions, alone.state.x.numpy())
+
+    assert slots.place(models[0], [None]) == [0]
+    frames(1)
+    assert slots.place(models[1], [None]) == [1]
+    assert slots.place(models[2], [None]) == []  # a third garment has no place
+    frames(1)
+    slots.free([0])
+    assert slots.place(models[2], [None]) == [0]
+    frames(2)
+    require_same(1, 1, 3)
+    require_same(2, 0, 2)
+    slots.free([0, 1])
+    assert slots.place(build_model(jobs[:3:2], config, "cpu"), [None, None]) == [0, 1]
+    frames(2)
+    require_same(0, 0, 2)
+    require_same(2, 1, 2)
+
+
+def test_a_batch_gets_larger_buffers_for_a_larger_garment() -> None:
+    jobs = [on_a_ball(5), on_a_ball(5), on_a_ball(21)]
+    config = DrapeConfig(max_frames=4)
+    given = dict(drape_unordered(iter(jobs), config, device="cpu", at_once=2))
+    for number, job in enumerate(jobs):
+        [alone] = drape_batch([job], config, device="cpu")
+        np.testing.assert_array_equal(given[number].vertices, alone.vertices)
 
 
 def test_a_band_cut_too_small_is_overstretched() -> None:
