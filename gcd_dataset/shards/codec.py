@@ -25,6 +25,7 @@ from gcd_dataset.errors import GcdError, ShardError
 from gcd_dataset.jsonfile import found
 from gcd_dataset.records import (
     MEASURES,
+    NO_MESH,
     POSITION_STEP,
     UV_STEP,
     BodyShape,
@@ -201,20 +202,6 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
         "verts.z": pack({"verts": vertices}, {"verts": POSITION}),
         "points.z": _points(sample.points),
     }
-
-
-NO_MESH = BoxMesh(
-    vertices=np.zeros((0, 3)),
-    faces=np.zeros((0, 3), int),
-    uv=np.zeros((0, 2)),
-    corners=np.zeros((0, 3), int),
-    uv_vertex=np.zeros(0, int),
-    panel_id=np.zeros(0, int),
-    panel_names=(),
-    panel_labels=(),
-    seams=np.zeros((0, 2), int),
-)
-"""The mesh of a sample that ends with stage ``pattern``."""
 
 
 def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
