@@ -348,6 +348,20 @@ class BoxMesh(Record):
         return int(self.seams[:, 0].max()) + 1 if len(self.seams) else 0
 
 
+NO_MESH = BoxMesh(
+    vertices=np.zeros((0, 3)),
+    faces=np.zeros((0, 3), int),
+    uv=np.zeros((0, 2)),
+    corners=np.zeros((0, 3), int),
+    uv_vertex=np.zeros(0, int),
+    panel_id=np.zeros(0, int),
+    panel_names=(),
+    panel_labels=(),
+    seams=np.zeros((0, 2), int),
+)
+"""The mesh without vertices, of a sample that ends with stage ``pattern`` and of a picture of the body alone."""
+
+
 # --------------------------------------------------------------------------------------------------------------- drape
 
 

@@ -71,11 +71,15 @@ def class_lines(path: str, kind: type) -> Iterator[str]:
 
 
 def signature(function: Callable[..., Any]) -> str:
-    """Names, kinds and defaults of the parameters."""
+    """Names, kinds and defaults of the parameters, without the sections that the wardrobe adds to a design."""
     found = inspect.signature(function)
+    added = {
+        entry.name for entry in getattr(function, "__dataclass_fields__", {}).values() if "added" in entry.metadata
+    }
     parameters = [
         parameter.replace(annotation=parameter.empty, default=shown(parameter.default))
-        for parameter in found.parameters.values()
+        for name, parameter in found.parameters.items()
+        if name not in added
     ]
     return str(found.replace(parameters=parameters, return_annotation=found.empty))
 

@@ -28,6 +28,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, fields
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,7 @@ from gcd_dataset.generator.render import render
 from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores
 from gcd_dataset.records import Pattern
 from gcd_dataset.shards import ShardReader
-from gcd_dataset.workers import parallel_map_chunks
+from gcd_dataset.workers import parallel_map
 
 INPUTS = (Input.DRAWN, Input.PLAIN, Input.GREY)  # in the order of training: the slowest decides the number of steps
 LOOP: Mapping[str, Any] = {"ema": 0.0, "betas": (0.9, 0.999), "decay_vectors": True, "rate_at": 1.0}
@@ -75,6 +76,7 @@ LOG_EVERY = 25  # steps
 CHECKS = 20  # losses on the test pictures in the course of a training
 CHECKED = 64  # test garments of these
 PROBE = 60  # steps of a network that is thrown away, of which the second half is timed
+CHUNK = 32  # garments that a process encodes at once
 START_UP = 20.0  # s from the end of a training to the first step of the next, besides scoring
 SCORING = 0.1  # CPU-s for each prediction
 SHEET = 8  # garments of the sheet
@@ -203,12 +205,10 @@ def load(folder: Path, args: argparse.Namespace) -> Data:
     if is_known.all() or not is_known.any():
         raise ConfigError(f"{folder} holds {len(kept)} designs: give a folder with 4 or more")
     to_targets = ToTargets(args.queries, NetConfig().slots, NetConfig().edges, points=0)
-    work = partial(_targets, str(folder), to_targets)
-    made = list(parallel_map_chunks(work, positions, args.workers, chunk=32))
-    arrays, patterns = zip(*made, strict=True)
-    targets = PanelTargets(*(torch.from_numpy(np.concatenate(column)) for column in zip(*arrays, strict=True)))
+    chunks = (positions[k : k + CHUNK] for k in range(0, len(positions), CHUNK))
+    targets, patterns = zip(*parallel_map(partial(_targets, folder, to_targets), chunks, args.workers), strict=True)
     known, unseen = (np.flatnonzero(wanted).tolist() for wanted in (is_known, ~is_known))
-    return Data(str(folder), known, unseen, targets, list(patterns))
+    return Data(str(folder), known, unseen, PanelTargets.join(targets), list(chain.from_iterable(patterns)))
 
 
 def _wearers(reader: ShardReader) -> int:
@@ -217,50 +217,31 @@ def _wearers(reader: ShardReader) -> int:
     return int(recipe.get("bodies_each", 1)) + (recipe.get("bodies") == "both")
 
 
-def _targets(
-    folder: str, to_targets: ToTargets, positions: Sequence[int]
-) -> list[tuple[tuple[np.ndarray, ...], Pattern]]:
-    reader, made = ShardReader(folder, settled_only=True), []
-    for position in positions:
-        pattern = reader.sample(position).pattern
-        target = to_targets.of(pattern)
-        made.append((tuple(getattr(target, field.name).numpy() for field in fields(target)), pattern))
-    return made
+def _targets(folder: Path, to_targets: ToTargets, positions: Sequence[int]) -> tuple[PanelTargets, list[Pattern]]:
+    reader = ShardReader(folder, settled_only=True)
+    patterns = [reader.sample(position).pattern for position in positions]
+    return PanelTargets.join([to_targets.of(pattern) for pattern in patterns]), patterns
 
 
 def pictures_to_test(data: Data, args: argparse.Namespace) -> dict[Input, UInt8[Tensor, "t n h w 3"]]:
     """Every test garment as each input, in the order of ``data.unseen``."""
-    _load_kernels(data, args)
+    # Compile the renderer's kernels in this process, before several look for them.
+    garment = load_garment(ShardReader(data.folder, settled_only=True), data.unseen[0])
+    scene, views = views_of(Input.DRAWN, args.seed, garment, 0, 0)
+    render([scene], views, size=args.size, device=args.device)
     place = {position: k for k, position in enumerate(data.unseen)}
     shape = (len(place), SIDES, args.size, args.size, 3)
     pictures = {what: torch.zeros(shape, dtype=torch.uint8) for what in TESTS}
     processes = min(args.renderers, 1 + len(place) // 32)
-    with _rendered(data, data.unseen, TESTS, args, processes=processes, readings=1) as batches:
+    options = {**_render_options(args), "processes": processes, "readings": 1}
+    with rendering(data.folder, data.unseen, TESTS, **options) as batches:
         for batch in batches:
             pictures[batch.what][[place[k] for k in batch.positions.tolist()]] = torch.from_numpy(batch.pictures)
     return pictures
 
 
-def _load_kernels(data: Data, args: argparse.Namespace) -> None:
-    """Compile the renderer's kernels in this process, before several look for them."""
-    garment = load_garment(ShardReader(data.folder, settled_only=True), data.unseen[0])
-    scene, views = views_of(Input.DRAWN, args.seed, garment, 0, 0)
-    render([scene], views, size=args.size, device=args.device)
-
-
-@contextmanager
-def _rendered(
-    data: Data,
-    positions: Sequence[int],
-    inputs: Sequence[Input],
-    args: argparse.Namespace,
-    *,
-    processes: int,
-    readings: int,
-) -> Iterator[Iterator[Rendered]]:
-    options = {"seed": args.seed, "size": args.size, "device": args.device}
-    with rendering(data.folder, positions, inputs, **options, processes=processes, readings=readings) as batches:
-        yield batches
+def _render_options(args: argparse.Namespace) -> dict[str, Any]:
+    return {"seed": args.seed, "size": args.size, "device": args.device}
 
 
 # ------------------------------------------------------------------------------------------------------------- the pool
@@ -327,8 +308,8 @@ def pool_of(what: Input, data: Data, args: argparse.Namespace) -> Iterator[Pool]
     """A pool that holds one reading of each garment to train on; of plain pictures there are no others."""
     endless = what is not Input.PLAIN
     room = args.pool if endless else len(data.known)
-    options = {"processes": args.renderers, "readings": 0 if endless else 1}
-    with _rendered(data, data.known, [what], args, **options) as batches:
+    options = {**_render_options(args), "processes": args.renderers, "readings": 0 if endless else 1}
+    with rendering(data.folder, data.known, [what], **options) as batches:
         targets = data.targets.to(torch.device(args.device))
         pool = Pool(batches, targets, max(room, args.batch), args.size, fresh=args.fresh if endless else 0)
         pool.receive(min(room, len(data.known)))
@@ -350,7 +331,8 @@ def trained_and_tested(
     """Train on one input within ``seconds``, scoring included, and score the predictions for all test pictures."""
     begun = time.perf_counter()
     with pool_of(what, data, args) as pool:
-        steps = args.steps or planned_steps(pool, data, args, seconds - _overhead(data, args) - _seconds_since(begun))
+        overhead = START_UP + SCORING * len(TESTS) * len(data.unseen) / args.workers
+        steps = args.steps or planned_steps(pool, data, args, seconds - overhead - _seconds_since(begun))
         log(f"{what}: {steps} steps, {pool.added} readings rendered in {_seconds_since(begun):.0f} s")
         start, received, waited = time.perf_counter(), pool.added, pool.waited
         net, rows = train(pool, data, steps, args, losses_on(tests, what, data, args))
@@ -385,11 +367,6 @@ def planned_steps(pool: Pool, data: Data, args: argparse.Namespace, seconds: flo
     train(pool, data, PROBE // 2, args)
     a_step = _seconds_since(start) / (PROBE // 2)
     return max(PROBE, int((seconds - (time.perf_counter() - begun)) / a_step))
-
-
-def _overhead(data: Data, args: argparse.Namespace) -> float:
-    """Time for anything but steps [s]."""
-    return START_UP + SCORING * len(TESTS) * len(data.unseen) / args.workers
 
 
 def train(

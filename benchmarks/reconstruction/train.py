@@ -48,6 +48,7 @@ from benchmarks.reconstruction.training import (
     TrainConfig,
     Trained,
     one_of_several_ranks,
+    rank,
     train,
     training_device,
 )
@@ -209,11 +210,11 @@ def run(options: Options) -> dict[str, Any] | None:
             print(f"{len(split.train)} garments to train on, {len(split.test)} to test on: {loaded - begun:.0f} s")
             return None
         report = _kept(options, split)
-        if report is not None and not _rank():
+        if report is not None and not rank():
             print(f"{path} is of this run: delete it to answer again", file=sys.stderr)
         if report is None:
             report = _answered(options, split, device, begun=begun, loaded=loaded)
-        if report is None or _rank():
+        if report is None or rank():
             return None
     if options.drape and not is_draped(report):
         report = _with_drapes(report, options)
@@ -254,7 +255,7 @@ def _answered(
         watched = learner.prepare(split.check, device=device)
         check = _Check(split.check, watched, options.out, judge_of(options.task, watching=True))
         trained, received = trained_by(options, learner, split, device, check=check, begun=begun)
-    if _rank():
+    if rank():
         return None
     trained_at = time.perf_counter()
     answers = _answers(module, trained, split, options, device)
@@ -302,7 +303,7 @@ def _require_own_folder(options: Options) -> None:
 
 def load_split(options: Options, *, checked: int = 0) -> Split:
     """The garments; the first rank makes them, the others read its cache. ``checked``: as in ``task.load``."""
-    if _rank():
+    if rank():
         dist.barrier()
     load: Callable[..., Split] = partial(options.task.load, data=options.data, checked=checked, **_recipe(options))
     if options.source:
@@ -317,10 +318,6 @@ def _recipe(options: Options) -> dict[str, Any]:
     """Changes of the task's recipe, and the device of its drapes."""
     drapes = {"device": options.make_device} if options.task.stage == "drape" else {}
     return {**drapes, **(options.recipe or {})}
-
-
-def _rank() -> int:
-    return dist.get_rank() if dist.is_initialized() else 0
 
 
 # --------------------------------------------------------------------------------------------------------- the training
@@ -395,7 +392,7 @@ def _pool(learner: Learner[Any, Any], known: GarmentSet, options: Options, devic
     encode, task = learner.encoder(), options.task
     assert encode is not None  # ``require_usable``
     make = {"points": task.points, "extra": task.extra, "workers": options.workers, **task.options}
-    seed = FRESH_SEED + _rank()
+    seed = FRESH_SEED + rank()
 
     def stream(first: int) -> Iterator[tuple[int, TensorExamples]]:
         return fresh_garments(encode, seed, first=first, **{**make, **_recipe(options)})

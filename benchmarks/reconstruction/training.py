@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from pickle import UnpicklingError
@@ -155,7 +155,7 @@ def train(
     called = time.perf_counter()
     torch.manual_seed(config.seed)
     run = _Run(learner.to(device), config, device, of)
-    curves = _Curves(None if out is None or _rank() else make_folder(out))
+    curves = _Curves(None if out is None or rank() else make_folder(out))
     if out is not None and (out / CHECKPOINT).exists():
         position = run.restore(out / CHECKPOINT)
         curves.resume(run.step)
@@ -176,10 +176,10 @@ def train(
             checked: Mapping[str, float] = {}
             if check is not None and run.progress * config.checks >= next_check:
                 next_check = math.floor(run.progress * config.checks) + 1
-                checked = check(run.step, run.average()) if not _rank() else {}
+                checked = check(run.step, run.averaged) if not rank() else {}
             if checked or is_last or run.step % config.log_every == 0:
                 curves.add(run.row(checked))
-            if out is not None and (is_last or run.is_due(saved)):
+            if out is not None and (is_last or mark - saved > 60.0 * config.checkpoint_minutes):
                 run.save(out / CHECKPOINT, examples)
                 saved = time.perf_counter()
             aside, mark = aside + time.perf_counter() - mark, time.perf_counter()
@@ -188,7 +188,7 @@ def train(
                 cause = "a signal" if is_signalled() else "the limit"
                 raise StoppedError(f"stopped by {cause} at {run.progress:.0%}: repeat the command to continue")
     curves.close()
-    return Trained(run.average(), run.step, run.seconds, aside, curves.rows)
+    return Trained(run.averaged, run.step, run.seconds, aside, curves.rows)
 
 
 def learning_rate(progress: float, warm_up: float) -> float:
@@ -253,6 +253,11 @@ def one_of_several_ranks(device: str) -> Iterator[torch.device]:
         dist.destroy_process_group()
 
 
+def rank() -> int:
+    """The number of this process among those of ``torchrun``; 0 without them."""
+    return dist.get_rank() if dist.is_initialized() else 0
+
+
 # -------------------------------------------------------------------------------------------------------------- the run
 
 
@@ -271,7 +276,7 @@ class _Run:
         self.step, self.seconds = 0, 0.0
         if device.type == "cuda":
             torch.set_float32_matmul_precision("high")  # TF32 outside autocast
-        self.averaged = copy.deepcopy(learner).requires_grad_(False)
+        self.averaged = copy.deepcopy(learner).requires_grad_(False).eval()
         self._pairs = list(zip(self.averaged.state_dict().values(), learner.state_dict().values(), strict=True))
         matrices = [p for p in learner.parameters() if p.requires_grad and p.ndim > 1]
         vectors = [p for p in learner.parameters() if p.requires_grad and p.ndim <= 1]
@@ -284,8 +289,7 @@ class _Run:
         self._recorded: RecordedStep[Any] | None = None
         self._ended: torch.cuda.Event | None = None
         self._names: list[str] = []
-        self._sums: Tensor | None = None
-        self._summed = 0
+        self._losses_since: list[Tensor] = []  # the last row of the curves
 
     @property
     def progress(self) -> float:
@@ -306,7 +310,7 @@ class _Run:
         self.optimizer.step()
         _average(self._pairs, config.ema, self.step)
         self.step += 1
-        self._add(torch.cat([losses.sum()[None], losses]))
+        self._losses_since.append(torch.cat([losses.sum()[None], losses]))
 
     def wait(self) -> None:
         """Wait until a GPU has taken the step before the last; every ``log_every`` steps, until it has taken the last.
@@ -356,12 +360,13 @@ class _Run:
         """The batch of the step, or this rank's part of it."""
         chance = torch.Generator().manual_seed(_seed_of(self.config.seed, self.step))
         rows = torch.randint(len(examples), (self.config.batch,), generator=chance)
-        return examples.batch(rows[_rank() :: _ranks()], chance)
+        return examples.batch(rows[rank() :: _ranks()], chance)
 
     def _losses(self, batch: Any) -> Tensor:
         """The loss terms of a batch."""
         self.model.train()
-        with self._autocast():
+        on = self.config.bf16 and self.device.type == "cuda"
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=on):
             parts = self.model(batch)
         self._names = list(parts)
         return torch.stack([part.float() for part in parts.values()])
@@ -381,37 +386,20 @@ class _Run:
             return bool(over)
         return is_over
 
-    def average(self) -> Learner[Any, Any]:
-        """The averaged learner, in evaluation mode."""
-        return self.averaged.eval()
-
     def row(self, checked: Mapping[str, float]) -> dict[str, float]:
         """A row of the curves. Raises ``TrainingError`` for a loss that is not finite."""
-        assert self._sums is not None
-        means = dict(zip(["loss", *self._names], (self._sums / self._summed).tolist(), strict=True))
+        means = dict(zip(["loss", *self._names], torch.stack(self._losses_since).mean(dim=0).tolist(), strict=True))
         if not math.isfinite(means["loss"]):
             raise TrainingError(f"step {self.step}: the loss is {means['loss']}: lower lr {self.config.lr:g}")
-        self._sums, self._summed = None, 0
+        self._losses_since.clear()
         rate = float(self.optimizer.param_groups[0]["lr"])
         return {"step": self.step, "seconds": round(self.seconds, 2), "lr": rate, **means, **checked}
 
-    def _add(self, losses: Tensor) -> None:
-        self._summed += 1
-        self._sums = losses if self._sums is None else self._sums + losses
-
-    def _autocast(self) -> AbstractContextManager[Any]:
-        on = self.config.bf16 and self.device.type == "cuda"
-        return torch.autocast("cuda", torch.bfloat16) if on else nullcontext()
-
     # ----------------------------------------------------------------------------------------------- checkpoints
-
-    def is_due(self, saved: float) -> bool:
-        """Whether the next checkpoint is due."""
-        return time.perf_counter() - saved > 60.0 * self.config.checkpoint_minutes
 
     def save(self, path: Path, examples: Examples[Any]) -> None:
         """Write the checkpoint, on the first rank."""
-        if _rank():
+        if rank():
             return
         state = {
             "config": self.identity,
@@ -465,10 +453,6 @@ def _average(pairs: Sequence[tuple[Tensor, Tensor]], decay: float, step: int) ->
 
 def _seed_of(seed: int, step: int) -> int:
     return int(np.random.SeedSequence((seed, step)).generate_state(1, np.uint64)[0] >> np.uint64(1))
-
-
-def _rank() -> int:
-    return dist.get_rank() if dist.is_initialized() else 0
 
 
 def _ranks() -> int:

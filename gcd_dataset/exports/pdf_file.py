@@ -10,7 +10,7 @@ a plain name stands beside it. Bookmarks hold all names.
 import contextlib
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from string import ascii_uppercase
 from typing import Any
@@ -83,13 +83,13 @@ class Paper:
 
 
 PAPERS = {
-    name: Paper(name, width, height)
-    for name, width, height in (
-        ("a4", 21.0, 29.7),
-        ("letter", 21.59, 27.94),
-        ("a3", 29.7, 42.0),
-        ("a1", 59.4, 84.1),
-        ("a0", 84.1, 118.9),
+    paper.name: paper
+    for paper in (
+        Paper("a4", 21.0, 29.7),
+        Paper("letter", 21.59, 27.94),
+        Paper("a3", 29.7, 42.0),
+        Paper("a1", 59.4, 84.1),
+        Paper("a0", 84.1, 118.9),
     )
 }
 
@@ -122,18 +122,23 @@ class Tiling:
     paper: Paper
     corners: Float[np.ndarray, "p 2"]
     """Lower left corner of each rectangle on the sheet, y up [cm]."""
-    width: float
     height: float
-    """Size of the sheet [cm]."""
+    """Height of the sheet [cm]."""
     rows: int
     columns: int
-    pages: tuple[Page, ...]
+    pages: tuple[Page, ...] = ()
     """The pages with a piece, row by row."""
 
     def origin(self, page: Page) -> tuple[float, float]:
         """Upper left corner of a page's cell on the sheet [cm]."""
         across, down = self.paper.cell
         return page.column * across, self.height - page.row * down
+
+    def cell(self, page: Page) -> tuple[float, float, float, float]:
+        """Left, bottom, right and top of a page's cell on the sheet [cm]; the last ones include their overlap."""
+        (left, top), (across, down) = self.origin(page), self.paper.cell
+        right = left + (across if page.column + 1 < self.columns else across + OVERLAP)
+        return left, top - (down if page.row + 1 < self.rows else down + OVERLAP), right, top
 
 
 def tile(sizes: Float[np.ndarray, "p 2"], shapes: Sequence[shapely.Geometry], paper: Paper) -> Tiling:
@@ -150,22 +155,15 @@ def tile(sizes: Float[np.ndarray, "p 2"], shapes: Sequence[shapely.Geometry], pa
 
 def _tiling(sizes: Float[np.ndarray, "p 2"], shapes: Sequence[shapely.Geometry], paper: Paper, columns: int) -> Tiling:
     across, down = paper.cell
-    width = columns * across + OVERLAP
-    corners, height = pack(sizes, width=width, gap=GAP)
+    corners, height = pack(sizes, width=columns * across + OVERLAP, gap=GAP)
     rows = max(1, int(np.ceil((height - OVERLAP) / down - 1e-9)))
     placed = [
         shapely.affinity.translate(shape, *corner) for shape, corner in zip(shapes, corners.tolist(), strict=True)
     ]
-    tree = shapely.STRtree(placed)
-    pages = []
-    for row in range(rows):
-        for column in range(columns):
-            right = column * across + (across if column + 1 < columns else across + OVERLAP)
-            top = height - row * down
-            bottom = top - (down if row + 1 < rows else down + OVERLAP)
-            if len(tree.query(shapely.box(column * across, bottom, right, top), predicate="intersects")):
-                pages.append(Page(row, column))
-    return Tiling(paper, corners, width, height, rows, columns, tuple(pages))
+    tree, tiling = shapely.STRtree(placed), Tiling(paper, corners, height, rows, columns)
+    pages = [Page(row, column) for row in range(rows) for column in range(columns)]
+    found, _ = tree.query([shapely.box(*tiling.cell(page)) for page in pages], predicate="intersects")
+    return replace(tiling, pages=tuple(pages[k] for k in np.unique(found)))
 
 
 POINTS = 72 / 2.54  # of a PDF in a centimetre
@@ -303,28 +301,27 @@ def _draw_marks(canvas: Any, sheet: _PaperSheet, page: Page) -> None:
     canvas.setStrokeGray(GREY)
     canvas.setFillGray(GREY)
     canvas.setLineWidth(FRAME_WIDTH)
+    middle, level = 0.5 * (left + right), 0.5 * (bottom + top)
     sides = (
-        ((0, -1), (left, bottom), (left, top), False),
-        ((-1, 0), (left, top), (right, top), False),
-        ((0, 1), (right, bottom), (right, top), True),
-        ((1, 0), (left, bottom), (right, bottom), True),
+        ((0, -1), (left, level), False),
+        ((-1, 0), (middle, top), False),
+        ((0, 1), (right, level), True),
+        ((1, 0), (middle, bottom), True),
     )
-    for (down_by, right_by), start, end, is_glued in sides:
+    for (down_by, right_by), (x, y), is_glued in sides:
         neighbour = labels.get((page.row + down_by, page.column + right_by))
         if neighbour is None:
             continue
-        reach = OVERLAP if is_glued else 0.0
         canvas.setDash([0.1, 0.2] if is_glued else [])
         if right_by:
-            canvas.line(start[0], MARGIN, end[0], top)
+            canvas.line(x, MARGIN, x, top)
         else:
-            canvas.line(left, start[1], left + width, end[1])
+            canvas.line(left, y, left + width, y)
         canvas.setDash([])
-        x, y = 0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1])
         _diamond(canvas, x, y)
         if is_glued:
             canvas.saveState()
-            canvas.translate(x + (0.5 * reach if right_by else 2.2), y - (0.5 * reach if down_by else -2.2))
+            canvas.translate(x + (0.5 * OVERLAP if right_by else 2.2), y - (0.5 * OVERLAP if down_by else -2.2))
             if right_by:
                 canvas.rotate(90)
             _text(canvas, f"glue {neighbour} here", 0.0, -0.35 * TINY, TINY)
@@ -439,10 +436,9 @@ def bezier_pieces(start: Point, end: Point, curve: Curve) -> list[tuple[Point, P
     """
     match curve:
         case Quadratic(control):
-            (x, y), (x0, y0), (x1, y1) = from_frame(start, end, control), start, end
-            return [
-                ((x0 + 2 * (x - x0) / 3, y0 + 2 * (y - y0) / 3), (x1 + 2 * (x - x1) / 3, y1 + 2 * (y - y1) / 3), end)
-            ]
+            x, y = from_frame(start, end, control)
+            inner = [(x0 + 2 * (x - x0) / 3, y0 + 2 * (y - y0) / 3) for x0, y0 in (start, end)]
+            return [(inner[0], inner[1], end)]
         case Cubic(control0, control1):
             return [(from_frame(start, end, control0), from_frame(start, end, control1), end)]
         case Arc(radius):
@@ -541,7 +537,7 @@ def _list_pieces(canvas: Any, sheet: _PaperSheet, top: float) -> None:
 def _draw_map(canvas: Any, sheet: _PaperSheet, top: float) -> None:
     """The pages and pieces, small; pages that are not printed are grey."""
     tiling = sheet.tiling
-    (across, down), printed = tiling.paper.cell, set(tiling.pages)
+    across, down = tiling.paper.cell
     width, height = tiling.columns * across + OVERLAP, tiling.rows * down + OVERLAP
     scale = min(MAP[0] / width, MAP[1] / height)
     canvas.saveState()
@@ -550,16 +546,15 @@ def _draw_map(canvas: Any, sheet: _PaperSheet, top: float) -> None:
     for row in range(tiling.rows):
         for column in range(tiling.columns):
             page = Page(row, column)
-            x, y = scale * column * across, -scale * row * down
-            canvas.setFillGray(1.0 if page in printed else PALE)
+            box = scale * (np.array(tiling.cell(page)) - [0.0, tiling.height, 0.0, tiling.height])
+            left, bottom, right, upper = box.tolist()
+            canvas.setFillGray(1.0 if page in tiling.pages else PALE)
             canvas.setStrokeGray(GREY)
-            wide = across + (OVERLAP if column + 1 == tiling.columns else 0.0)
-            tall = down + (OVERLAP if row + 1 == tiling.rows else 0.0)
-            canvas.rect(x, y - scale * tall, scale * wide, scale * tall, stroke=1, fill=1)
-            if page in printed:
+            canvas.rect(left, bottom, right - left, upper - bottom, fill=1)
+            if page in tiling.pages:
                 canvas.setFillGray(GREY)
                 size = min(0.7, 0.3 * scale * min(across, down))
-                _text(canvas, page.label, x + 0.5 * scale * across, y - 0.5 * scale * down - 0.35 * size, size)
+                _text(canvas, page.label, left + 0.5 * scale * across, upper - 0.5 * scale * down - 0.35 * size, size)
     canvas.setStrokeGray(0)
     canvas.setLineWidth(0.02)
     for piece, shift in zip(sheet.pieces, sheet.shifts, strict=True):

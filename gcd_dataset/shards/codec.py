@@ -25,6 +25,7 @@ from gcd_dataset.errors import GcdError, ShardError
 from gcd_dataset.jsonfile import found
 from gcd_dataset.records import (
     MEASURES,
+    NO_MESH,
     POSITION_STEP,
     UV_STEP,
     BodyShape,
@@ -126,6 +127,7 @@ TEXTS = {*(member for member in MEMBERS if member.endswith((".json", ".txt"))), 
 
 MISSING_MEASURE = -1.0
 """Marks a missing measure: no length is negative, and no inclination is exactly -1."""
+LARGEST_MEASURE = 1e6  # cm
 
 
 # ------------------------------------------------------------------------------------------------------------- encoding
@@ -201,20 +203,6 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
         "verts.z": pack({"verts": vertices}, {"verts": POSITION}),
         "points.z": _points(sample.points),
     }
-
-
-NO_MESH = BoxMesh(
-    vertices=np.zeros((0, 3)),
-    faces=np.zeros((0, 3), int),
-    uv=np.zeros((0, 2)),
-    corners=np.zeros((0, 3), int),
-    uv_vertex=np.zeros(0, int),
-    panel_id=np.zeros(0, int),
-    panel_names=(),
-    panel_labels=(),
-    seams=np.zeros((0, 2), int),
-)
-"""The mesh of a sample that ends with stage ``pattern``."""
 
 
 def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
@@ -403,9 +391,9 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
 
     Raises ``ShardError`` or ``SpecError`` for invalid content.
     """
-    member_of = fields_of(members)
-    pictures = {field: bytes(members[member]) for field, member in member_of.items() if member.endswith(".jpg")}
-    field = decode_fields(members, [name for name in member_of if name not in pictures])
+    member_in = fields_of(members)
+    pictures = {field: bytes(members[member]) for field, member in member_in.items() if member.endswith(".jpg")}
+    field = decode_fields(members, [name for name in member_in if name not in pictures])
     meta = field["meta"]
     pattern = pattern_from_spec(field["spec"], meta["pattern"], source=meta["key"])
     try:
@@ -625,9 +613,6 @@ def read_measures(data: Bytes) -> dict[str, float]:
     return {name: value for name, value in values.items() if value != MISSING_MEASURE}
 
 
-LARGEST_MEASURE = 1e6  # cm
-
-
 def _caption(data: Bytes) -> str:
     try:
         return str(data, "utf-8")
@@ -682,15 +667,14 @@ def _drape(field: Mapping[str, Any]) -> Drape:
         raise ShardError(f"outcome {figures['outcome']!r}: known are {', '.join(Outcome.__members__)}")
     values = {entry.name: figures[entry.name] for entry in dataclass_fields(Drape) if entry.name in figures}
     values |= {name: np.nan for name in STRETCHES if values[name] is None}
-    principal = None if strain is None else Strain(tuple(strain["principal"]), tuple(map(tuple, strain["panels"])))
-    values |= {"vertices": field["verts"].astype(float), "outcome": Outcome[figures["outcome"]], "strain": principal}
-    return Drape(**values)
+    values["outcome"] = Outcome[figures["outcome"]]
+    if strain is not None:
+        values["strain"] = Strain(tuple(strain["principal"]), tuple(map(tuple, strain["panels"])))
+    return Drape(**values, vertices=field["verts"].astype(float))
 
 
 def _views(pictures: Mapping[str, bytes], field: Mapping[str, Any]) -> tuple[StoredView, ...]:
-    count = sum(name.startswith("view_") for name in pictures)
-    encoded = [pictures[f"view_{number}"] for number in range(count)]
+    names = [f"view_{number}" for number in range(sum(name.startswith("view_") for name in pictures))]
     return tuple(
-        StoredView(b"" if picture == NO_PICTURE else picture, field[f"view_{number}_json"])
-        for number, picture in enumerate(encoded)
+        StoredView(b"" if pictures[name] == NO_PICTURE else pictures[name], field[f"{name}_json"]) for name in names
     )

@@ -70,14 +70,24 @@ def with_shoulder(outline: Outline, size: Measurements, *, fall: float, length: 
     return outline.line(*end, name="shoulder").curve(*hem, Quadratic(to_frame(end, hem, bend)), name="side")
 
 
-def both_halves(right: Outline, neck: tuple[Stroke, ...]) -> Outline:
-    """A whole front or back from its right half, drawn from the neck to the middle of the hem, and half its neckline.
+def front_or_back(
+    name: str,
+    right: Outline,
+    size: Measurements,
+    hole: NeckHole,
+    *,
+    front: bool,
+    neckline: Neckline = Neckline.CIRCLE,
+) -> Piece:
+    """A whole front or back, placed at the neck, from its right half, drawn from the neck to the middle of the hem.
 
     Edges of the mirror image have the prefix ``left_``.
     """
+    neck = right_neck(hole, neckline, front=front)
     left = [replace(stroke.mirrored(), name=f"left_{stroke.name}").reversed() for stroke in reversed(right.strokes)]
     left_neck = [replace(stroke.mirrored(), label=EdgeRole.LEFT_COLLAR) for stroke in neck]
-    return right.then(*left, *left_neck, *(stroke.reversed() for stroke in reversed(neck)))
+    whole = right.then(*left, *left_neck, *(stroke.reversed() for stroke in reversed(neck)))
+    return placed_at_neck(Piece(name, whole), size, hole, front=front)
 
 
 def placed_at_neck(piece: Piece, size: Measurements, hole: NeckHole, *, front: bool) -> Piece:
@@ -112,9 +122,7 @@ def cape(size: Measurements, design: CapeDesign) -> Component:
     """Two fronts and a back, sewn over the shoulders and down the front. Offers no interface."""
     hole = neck_hole(size, design.neck)
     front = placed_at_neck(Piece("right_cape_front", _right_front(size, design, hole)), size, hole, front=True)
-    half = _to_hem(size, design, hole)
-    back_outline = both_halves(half, right_neck(hole, Neckline.CIRCLE, front=False))
-    back = placed_at_neck(Piece("cape_back", back_outline), size, hole, front=False)
+    back = front_or_back("cape_back", _to_hem(size, design, hole), size, hole, front=False)
     right = Component.of(front)
     left = right.mirrored("right", "left")
     mirror = left.piece("left_cape_front")
@@ -193,10 +201,8 @@ def poncho(size: Measurements, design: PonchoDesign) -> Component:
     """Front and back of the same shape, sewn over the shoulders and along the arms. Offers no interface."""
     hole = neck_hole(size, design.neck)
     half = _right_half(size, design, hole)
-    front_outline = both_halves(half, right_neck(hole, design.neckline, front=True))
-    back_outline = both_halves(half, right_neck(hole, Neckline.CIRCLE, front=False))
-    front = placed_at_neck(Piece("poncho_front", front_outline), size, hole, front=True)
-    back = placed_at_neck(Piece("poncho_back", back_outline), size, hole, front=False)
+    front = front_or_back("poncho_front", half, size, hole, front=True, neckline=design.neckline)
+    back = front_or_back("poncho_back", half, size, hole, front=False)
     return (
         Component.of(front, back)
         .sewn(front.along("shoulder"), back.along("shoulder"))

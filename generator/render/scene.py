@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int, Int32, UInt8
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.records import Body, BoxMesh, PanelRole, Pattern, Record, Sample
+from gcd_dataset.records import NO_MESH, Body, BoxMesh, PanelRole, Pattern, Record, Sample
 
 
 class HairStyle(IntEnum):
@@ -122,19 +122,7 @@ def scene_of(
 
 def figure_scene(body: Body) -> Scene:
     """A scene without a garment."""
-    return Scene(
-        vertices=np.zeros((0, 3)),
-        faces=np.zeros((0, 3), int),
-        uv=np.zeros((0, 2)),
-        corners=np.zeros((0, 3), int),
-        uv_vertex=np.zeros(0, int),
-        panel_id=np.zeros(0, int),
-        panel_names=(),
-        panel_labels=(),
-        seams=np.zeros((0, 2), int),
-        body=body,
-        landmarks=_landmarks(body),
-    )
+    return scene_of(NO_MESH, NO_MESH.vertices, body)
 
 
 def scene_of_sample(sample: Sample, body: Body, *, hair: HairStyle = HairStyle.NONE) -> Scene:

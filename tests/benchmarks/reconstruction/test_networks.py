@@ -35,7 +35,12 @@ NEEDED = {
 }
 
 
-@pytest.mark.parametrize(("model", "name"), [(model, name) for model in NETWORKS for name in NEEDED[model].split()])
+def needed(model: str) -> list[str]:
+    """Sizes that cannot be 0."""
+    return NEEDED.get(model, "width").split()
+
+
+@pytest.mark.parametrize(("model", "name"), [(model, name) for model in NETWORKS for name in needed(model)])
 def test_a_network_has_some_of_what_it_needs(model: str, name: str) -> None:
     with pytest.raises(ConfigError, match=rf"^{name} 0"):
         load_model(model).build(smoke=True, options={name: 0})
@@ -43,8 +48,9 @@ def test_a_network_has_some_of_what_it_needs(model: str, name: str) -> None:
 
 @pytest.mark.parametrize("model", NETWORKS)
 def test_heads_share_the_width(model: str) -> None:
-    for name in {"width", "edge_width", "token_width"} & set(NEEDED[model].split()):
-        if "heads" in NEEDED[model] and not (name == "width" and "token_width" in NEEDED[model]):
+    names = needed(model)
+    for name in {"width", "edge_width", "token_width"} & {*names}:
+        if "heads" in names and not (name == "width" and "token_width" in names):
             with pytest.raises(ConfigError, match=rf"{name} 33 is no multiple of (edge_)?heads 4"):
                 load_model(model).build(smoke=True, options={name: 33})
 

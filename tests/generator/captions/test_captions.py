@@ -29,7 +29,7 @@ from gcd_dataset.generator.garments.circle_skirt import VISIBLE_CUT
 from gcd_dataset.generator.garments.description import RUFFLES, Tag
 from gcd_dataset.generator.garments.drawn import hem_depth
 from gcd_dataset.generator.garments.overlay import Overlay
-from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom
+from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
 from tests.generator.garments.conftest import DESIGNS, MAN, STOUT, WOMAN
 
@@ -66,9 +66,10 @@ def sampled(count: int, *overlays: Mapping[str, Any]) -> Iterator[Worn]:
 
 @pytest.fixture(scope="module")
 def wardrobe() -> list[Worn]:
-    """Sampled designs, with capes and ponchos, which only overlays choose."""
-    alone = {"wb": "none", "bottom": "none"}
-    rare = [{"meta": {"upper": name, **alone}} for name in ("Cape", "Poncho")]
+    """Sampled designs, with capes and other garments that only overlays choose."""
+    alone = {"upper": "none", "wb": "none", "bottom": "none"}
+    members = [("upper", upper) for upper in Upper] + [("bottom", bottom) for bottom in Bottom]
+    rare = [{"meta": {**alone, part: member.value}} for part, member in members if not member.garment.weight]
     levels, pants = ({"meta": {"upper": "none", "bottom": name}} for name in ("SkirtLevels", "Pants"))
     return [*sampled(120), *sampled(8, *rare), *sampled(20, levels, pants)]
 
