@@ -17,8 +17,8 @@ from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import launch_lock, to_host
 from gcd_dataset.generator.drape.holds import fell, find_keepers, off_body
 from gcd_dataset.generator.drape.kernels import untangling as kernels
+from gcd_dataset.generator.drape.kernels.place import NOT_COUNTED
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, STOPPED
-from gcd_dataset.generator.drape.model import NOT_COUNTED
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import Drape, Outcome
 

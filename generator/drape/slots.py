@@ -13,7 +13,7 @@ import warp as wp
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.kernels import place as kernels
-from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, Placement
+from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, Placement, VertexState
 from gcd_dataset.generator.drape.kernels.world import DONE
 from gcd_dataset.generator.drape.model import ClothModel, empty_model
 from gcd_dataset.generator.drape.solver import Solver
@@ -170,12 +170,14 @@ class Slots:
         model.cloth.body_mesh.assign(self._meshes)
         places = wp.array(placements, dtype=Placement, device=model.device)
         vertices, edges, faces = new.vertices[count - 1].stop, new.edges[count - 1].stop, new.faces[count - 1].stop
-        state_out = [state.x, state.v, state.ahead, state.x_seen, state.search, state.contact_weight, state.beside]
+        of_vertices = VertexState()
+        for name in VertexState.vars:
+            setattr(of_vertices, name, getattr(state, name))
         self._launch(
             kernels.place_vertices,
             vertices,
             [places, new.cloth, new.rows, x, v],
-            [model.cloth, model.rows, *state_out, state.tangled, state.push],
+            [model.cloth, model.rows, of_vertices, state.search],
         )
         self._launch(kernels.place_edges, edges, [places, new.cloth, new.springs], [model.cloth, model.springs])
         self._launch(kernels.place_faces, faces, [places, new.cloth], [model.cloth, model.face_world])

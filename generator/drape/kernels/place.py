@@ -29,6 +29,20 @@ class Placement:
     overfull: int
 
 
+@wp.struct
+class VertexState:
+    """Arrays of ``ClothState``, (v) each."""
+
+    x: wp.array(dtype=wp.vec3)
+    v: wp.array(dtype=wp.vec3)
+    ahead: wp.array(dtype=wp.vec3)
+    x_seen: wp.array(dtype=wp.vec3)
+    contact_weight: wp.array(dtype=float)
+    beside: wp.array(dtype=int)
+    tangled: wp.array(dtype=int)
+    push: wp.array2d(dtype=int)
+
+
 @wp.kernel
 def interpolate(
     corners: wp.array(dtype=wp.vec3i),
@@ -93,15 +107,8 @@ def place_vertices(
     cloth: ClothArrays,
     rows: Rows,
     # state out
-    x: wp.array(dtype=wp.vec3),
-    v: wp.array(dtype=wp.vec3),
-    ahead: wp.array(dtype=wp.vec3),
-    x_seen: wp.array(dtype=wp.vec3),
+    state: VertexState,
     search: SearchState,
-    contact_weight: wp.array(dtype=float),
-    beside: wp.array(dtype=int),
-    tangled: wp.array(dtype=int),
-    push: wp.array2d(dtype=int),
 ):
     """Copy the vertices of new garments and their rows, and set their state at the start."""
     i = wp.tid()
@@ -122,18 +129,18 @@ def place_vertices(
         cloth.first_edge[j + 1] = given.first_edge[i + 1] + place.edge_entries
     copy_row(i, j, place.vertex_shift, given_rows, rows)
     here = given_x[i]
-    x[j] = here
-    x_seen[j] = here
+    state.x[j] = here
+    state.x_seen[j] = here
     search.x[j] = here
-    v[j] = given_v[i]
-    ahead[j] = here + (LOOK_AHEAD * place.dt) * given_v[i]
+    state.v[j] = given_v[i]
+    state.ahead[j] = here + (LOOK_AHEAD * place.dt) * given_v[i]
     search.skin[j] = wp.vec4(0.0)
     search.listed[j] = 0
-    contact_weight[j] = 1.0
-    beside[j] = 1
-    tangled[j] = 0
+    state.contact_weight[j] = 1.0
+    state.beside[j] = 1
+    state.tangled[j] = 0
     for k in range(5):
-        push[j, k] = 0
+        state.push[j, k] = 0
 
 
 @wp.kernel
