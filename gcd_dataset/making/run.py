@@ -199,6 +199,8 @@ def _restore_notes(work: Work) -> None:
             for sample in stored_samples(place.fetch(tar)):
                 plan_of_sample(read_meta(sample.members[META]), task.plan).require_same(task.plan, place.location(tar))
             place.write(note_name(split, number), note.to_bytes())
+    if lost:
+        place.remove_fetched()
 
 
 # --------------------------------------------------------------------------------------------------------------- making
@@ -342,6 +344,7 @@ def index(place: Place) -> Gathered:
         if recipe is not None and known and recipe.patterns != known:
             logger.warning(OTHER_PATTERNS, place.location(), recipe.name)
     gathered.write(place)
+    place.remove_fetched()
     return gathered
 
 

@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import logging
 import re
+import shutil
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -91,6 +92,9 @@ class UrlPlace(Place):
         path = make_folder(self.work / "fetched") / name.replace("/", "-")
         write_whole(path, next(self.read([name])))
         return path
+
+    def remove_fetched(self) -> None:
+        shutil.rmtree(self.work / "fetched", ignore_errors=True)
 
     def write(self, name: str, content: bytes) -> None:
         with self._asking(OutputError) as (fs, root):

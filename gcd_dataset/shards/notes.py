@@ -392,8 +392,12 @@ def gather(place: Place, published: Callable[[str, str], str] = lambda name, sha
         is_whole = patterns.count == sum(manifest.counts.values())
         text = (known if patterns.agrees(known) else patterns.text) if known and is_whole else ""
         manifest = replace(manifest, recipe=RecipeRecord(*named, text))
-    lines = _unique(line for note in notes for line in note.rejects)
-    return Gathered(manifest, indices, b"".join(json_bytes(line) + b"\n" for line in lines))
+    return Gathered(manifest, indices, rejects_bytes(line for note in notes for line in note.rejects))
+
+
+def rejects_bytes(lines: Iterable[Mapping[str, Any]]) -> bytes:
+    """The content of ``rejects.jsonl``."""
+    return b"".join(json_bytes(line) + b"\n" for line in _unique(lines))
 
 
 def _notes(place: Place, names: frozenset[str], shards: list[tuple[str, int]]) -> list[Note]:

@@ -44,6 +44,9 @@ class Place:
         """A file on this machine with the content of ``name``."""
         return self.folder / name
 
+    def remove_fetched(self) -> None:
+        """Remove the copies that ``fetch`` has made; a folder makes none."""
+
     def write(self, name: str, content: bytes) -> None:
         """Write or replace a small file."""
         write_whole(self.folder / name, content)

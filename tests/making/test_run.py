@@ -217,6 +217,11 @@ def test_a_store_holds_the_bytes_of_a_folder(
     fsspec.filesystem("memory").rm("/bucket/set/train-00003.tar")
     assert make(url, COUNT).made == 2
     assert stored(url) == whole
+    fsspec.filesystem("memory").rm("/bucket/set/train-00001.json")  # made again from a copy of its tar
+    index(store.place_for(url))
+    assert not [path for path in (tmp_path / ".cache/gcd_dataset/work").rglob("*") if path.is_file()]
+    assert make(url, COUNT).made == 0
+    assert stored(url) == whole
     assert not [path for path in (tmp_path / ".cache/gcd_dataset/work").rglob("*") if path.is_file()]
     with pytest.raises(ConfigError, match="seed=0, asked for seed=1"):
         make(url, COUNT, seed=1)
