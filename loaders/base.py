@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import fields
 from difflib import get_close_matches
-from functools import partial
+from functools import cached_property, partial
 from itertools import islice
 from typing import Any, SupportsIndex, TypeAlias, overload
 
@@ -196,7 +196,12 @@ class Garments(Dataset[GarmentFields], ABC):
 
     def _load(self, position: int) -> Any:
         """The item at a position: an index normalised to 0 … ``len(self)`` - 1."""
-        return self._item(self._members(position, members_of(self.fields, self._member_of)), position)
+        return self._item(self._members(position, self._member_names), position)
+
+    @cached_property
+    def _member_names(self) -> tuple[str, ...]:
+        """The members that the fields are decoded from."""
+        return members_of(self.fields, self._member_of)
 
     def _description(self) -> list[str]:
         """Words for ``repr`` and error messages, such as seed or folder."""

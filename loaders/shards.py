@@ -32,20 +32,18 @@ from gcd_dataset.records import Sample
 from gcd_dataset.shards.cache import SIZE, size_in_bytes
 from gcd_dataset.shards.codec import NO_PICTURE, SECTIONS, decode_field, decode_fields
 from gcd_dataset.shards.columns import Columns, value_of
-from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import (
     JOINT,
-    MEMBERS,
+    META,
     Bytes,
     fields_of,
     is_picture,
     is_view_field,
     joint_fields,
     member_of,
-    members_of,
 )
 from gcd_dataset.shards.reader import Quality, ShardReader, Verify
-from gcd_dataset.shards.store import Store
+from gcd_dataset.shards.store import FolderStore, Store
 
 BOUND = r"-?[0-9]{1,18}%?"  # 18 digits fit an int64
 PART = re.compile(rf"\s*(?P<name>\w[\w.-]*)\s*(?:\[\s*(?P<start>{BOUND})?\s*:\s*(?P<stop>{BOUND})?\s*\])?\s*")
@@ -131,7 +129,6 @@ class StoredItems(Sequence[GarmentItem]):
             raise ShardError(f"field {field}: {error}") from error
 
 
-META = MEMBERS[0]
 RECIPE = "recipe:"
 SERVER = ("revision", "endpoint", "token", "patience")
 """Options of remote sources."""
@@ -395,10 +392,6 @@ class GarmentDataset(Garments):
     def _key(self, position: int) -> str:
         part, position = self._locate(position)
         return part.reader.key(position)
-
-    @property
-    def _member_names(self) -> tuple[str, ...]:
-        return members_of(self.fields, self._member_of)
 
     def _locate(self, position: int) -> tuple["_SplitPart", int]:
         """The part that holds a garment, and its position in the part's reader."""

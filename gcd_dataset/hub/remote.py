@@ -33,10 +33,9 @@ from gcd_dataset.files import make_folder, safe_name, user_path, write_whole
 from gcd_dataset.hub.fetch import WEB, Files, fetch
 from gcd_dataset.hub.source import COMMIT, Folder, Repo, Url, parse_source
 from gcd_dataset.shards import cache
-from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import SplitIndex, index_name
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, parse_manifest
-from gcd_dataset.shards.store import Store
+from gcd_dataset.shards.store import FolderStore, Store
 
 T = TypeVar("T")
 

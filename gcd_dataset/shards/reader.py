@@ -10,12 +10,11 @@ from jaxtyping import Int
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import PATTERN_FIELDS, decode_sample, stored_pattern
-from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
-from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, Layout, fields_of, is_picture, key_of, members_of
+from gcd_dataset.shards.layout import BODIES, GARMENTS, META, Bytes, Layout, fields_of, is_picture, key_of, members_of
 from gcd_dataset.shards.manifest import ShardRecord
-from gcd_dataset.shards.notes import META, checked_meta
-from gcd_dataset.shards.store import Store
+from gcd_dataset.shards.meta import checked_meta
+from gcd_dataset.shards.store import FolderStore, Store
 from gcd_dataset.shards.tar import BLOCK, END, samples_in
 from gcd_dataset.tensors import PatternTensor
 
