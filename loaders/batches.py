@@ -334,7 +334,7 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     >>> batch["faces"].tolist(), batch["verts_ptr"].tolist()
     ([[0, 1, 2], [3, 4, 5]], [0, 3, 6])
     """
-    columns = _columns(items)
+    columns, dtype = _columns(items)
     counts = {field: list(map(len, values)) for field, values in columns.items() if field in RAGGED}
     # Arrays until the end: a call of torch takes several times as long as one of NumPy.
     starts = {f"{field}_ptr": np.array([0, *accumulate(lengths)]) for field, lengths in counts.items()}
@@ -342,9 +342,9 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     batch |= {name: torch.from_numpy(pointers) for name, pointers in starts.items()}
     for field, values in columns.items():
         if field in counts:
-            batch[field] = _concatenated(values, counts[field], _dtype_of(items), starts, field)
+            batch[field] = _concatenated(values, counts[field], dtype, starts, field)
         else:
-            batch[field] = _stacked(values, items, field)
+            batch[field] = _stacked(values, dtype, field, isinstance(items, StoredItems))
     return unwrap(sent(batch))
 
 
@@ -366,25 +366,24 @@ def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = No
     ((2, 3, 14), [[True, True, False], [True, True, True]])
     """
     batch = PaddedBatch(batch_size=len(items))
-    for field, values in _columns(items).items():
+    columns, dtype = _columns(items)
+    for field, values in columns.items():
         if field in RAGGED:
-            batch[field], batch[f"{field}_mask"] = _pad(values, _dtype_of(items), field, (rows or {}).get(field))
+            batch[field], batch[f"{field}_mask"] = _pad(values, dtype, field, (rows or {}).get(field))
         else:
-            batch[field] = _stacked(values, items, field)
+            batch[field] = _stacked(values, dtype, field, isinstance(items, StoredItems))
     return unwrap(sent(batch))
 
 
-def _columns(items: Sequence[Item]) -> dict[str, list[Any]]:
-    """Field to the value of each garment: of stored garments the mapped rows, which collation copies once."""
+def _columns(items: Sequence[Item]) -> tuple[dict[str, list[Any]], torch.dtype | None]:
+    """Field to the value of each garment, and the floating type that they are cast to.
+
+    Of stored garments the mapped rows, which collation copies once.
+    """
     if isinstance(items, StoredItems):
-        return {field: items.column(field) for field in items.fields}
+        return {field: items.column(field) for field in items.fields}, items.dtype
     _require_same_fields(items)
-    return {field: [item[field] for item in items] for field in items[0]}
-
-
-def _dtype_of(items: Sequence[Item]) -> torch.dtype | None:
-    """The floating type that stored rows are cast to."""
-    return items.dtype if isinstance(items, StoredItems) else None
+    return {field: [item[field] for item in items] for field in items[0]}, None
 
 
 def _concatenated(
@@ -432,14 +431,14 @@ def _pad(values: list[Any], dtype: torch.dtype | None, field: str, count: int | 
     return padded, torch.from_numpy(mask).to(padded.device)
 
 
-def _stacked(values: list[Any], items: Sequence[Item], field: str) -> Any:
-    """Tensors of equal shape stacked; anything else as a list."""
-    is_stored, first = isinstance(items, StoredItems), values[0]
+def _stacked(values: list[Any], dtype: torch.dtype | None, field: str, is_stored: bool) -> Any:
+    """Tensors of equal shape stacked, and ``is_stored`` arrays; anything else as a list."""
+    first = values[0]
     kinds = (Tensor, np.ndarray) if is_stored else Tensor
     if all(isinstance(value, kinds) and value.shape == first.shape for value in values):
-        return _concatenated([value[None] for value in values], [1] * len(values), _dtype_of(items), {}, field)
+        return _concatenated([value[None] for value in values], [1] * len(values), dtype, {}, field)
     if is_stored and isinstance(first, np.ndarray):
-        return [tensor_of(value.copy(), _dtype_of(items)) for value in values]
+        return [tensor_of(value.copy(), dtype) for value in values]
     return values
 
 

@@ -256,10 +256,7 @@ class GarmentDataset(Garments):
         limit = size_in_bytes(max_cache_size)
         single = dtype not in (None, torch.float64)
         stored = _stored_fields(self.fields, shared)
-        self._columns = {
-            name: Columns(store, name, reader.index, stored, limit=limit, single=single)
-            for name, reader in readers.items()
-        }
+        self._columns = {name: Columns(reader, stored, limit=limit, single=single) for name, reader in readers.items()}
         self._is_remote, self._told = isinstance(store, RemoteStore), False
         self.window = self._window(window, limit)
         """Number of shards among which a random order moves freely; ``None``: all."""
@@ -296,10 +293,11 @@ class GarmentDataset(Garments):
         size = sum(shard.size for part in self._parts for shard in part.reader.record.shards)
         return WINDOW if self._is_remote or (limit is not None and GROWTH * size > limit) else None
 
-    def _load(self, position: int) -> Any:
+    def _load(self, position: int, *, is_of_batch: bool = False) -> Any:
+        """The item at a position, from columns; from the shard where none are made, but a batch makes them."""
         part, row = self._locate(position)
         columns, rows = self._columns[part.reader.split], part.reader.rows([row])
-        if columns.has(int(rows[0])):
+        if columns.has(int(rows[0])) or (is_of_batch and self._fit(columns)):
             return self._transformed(self._stored(columns, rows)[0], position)
         with part.reader.naming(row):
             return self._item(part.reader.read(row, self._member_names), position)
@@ -314,22 +312,17 @@ class GarmentDataset(Garments):
         number = bisect.bisect_right(self._ends, min(positions))
         part, end = self._parts[number], self._ends[number]
         columns = self._columns[part.reader.split]
-        if max(positions) >= end or not self._fit(columns):
-            return [self._alone(index, position) for index, position in zip(indices, positions, strict=True)]
+        if max(positions) >= end or not self._fit(columns):  # of several splits, or too large for the cache
+            alone = list[Any]()
+            for index, position in zip(indices, positions, strict=True):
+                with note_items(self, index):
+                    alone.append(self._load(position, is_of_batch=True))
+            return alone
         first = end - len(part.positions) - part.positions.start  # index of the reader's first garment
         items = self._stored(columns, part.reader.rows(np.array(positions) - first))
         if self.transform is None:
             return items
         return [self._transformed(item, position) for item, position in zip(items, positions, strict=True)]
-
-    def _alone(self, index: int, position: int) -> Any:
-        """An item of a batch out of several splits, or of a set whose columns do not fit into the cache."""
-        with note_items(self, index):
-            part, row = self._locate(position)
-            columns = self._columns[part.reader.split]
-            if not self._fit(columns):
-                return self._load(position)
-            return self._transformed(self._stored(columns, part.reader.rows([row]))[0], position)
 
     def _fit(self, columns: Columns) -> bool:
         """Whether columns serve: in windows always, else if those of the whole split fit into the cache."""

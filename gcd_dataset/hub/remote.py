@@ -129,7 +129,7 @@ class RemoteStore(Store):
     remedy = "try again later, or tell its publisher"
 
     def __init__(self, source: Repo | Url, remote: Remote) -> None:
-        self._asked, self._remote = source, remote
+        self._asked, self._remote, self.cache = source, remote, remote.folder / "shards"
         self._manifest: Manifest | None = None
         address = remote.address(source)
         digest = hashlib.sha256(address.encode()).hexdigest()[:16]
@@ -143,10 +143,6 @@ class RemoteStore(Store):
 
     def location(self, name: str = "") -> str:
         return f"{self.source}/{name}" if name else str(self.source)
-
-    @property
-    def cache(self) -> Path:
-        return self._remote.folder / "shards"
 
     def manifest(self) -> Manifest:
         if self._manifest is None:

@@ -20,27 +20,14 @@ REMEDIES: Mapping[tuple[type[OSError], ...], str] = {
 }
 
 
-class reading:  # noqa: N801 -- a context manager, named as functions are
-    """Context that turns ``OSError`` into ``ShardError`` with the file and a remedy."""
-
-    # A class, since it is entered for every garment: ``contextlib.contextmanager`` takes several times as long.
-    __slots__ = ("_path",)
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, OSError):
-            raise unreadable(self._path, error) from error
-
-
-def unreadable(path: Path, error: OSError) -> ShardError:
-    """The error about a file that cannot be read, with a remedy."""
-    remedy = next((text for kinds, text in REMEDIES.items() if isinstance(error, kinds)), REMEDY)
-    return ShardError(f"{path}: cannot be read ({error.strerror}): {remedy}")
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn ``OSError`` into ``ShardError`` with the file and a remedy."""
+    try:
+        yield
+    except OSError as error:
+        remedy = next((text for kinds, text in REMEDIES.items() if isinstance(error, kinds)), REMEDY)
+        raise ShardError(f"{path}: cannot be read ({error.strerror}): {remedy}") from error
 
 
 def read_file(path: Path, limit: int | None = None) -> bytes:

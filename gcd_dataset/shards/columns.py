@@ -25,10 +25,9 @@ from gcd_dataset.records import MEASURES
 from gcd_dataset.shards.access import mapped, reading
 from gcd_dataset.shards.cache import make_room, touch
 from gcd_dataset.shards.codec import DECODERS, MISSING_MEASURE, SECTIONS, decode_fields, read_measures
-from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import Bytes, is_picture, key_of, member_of, members_of
+from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.sections import TYPES
-from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import samples_in
 
 HEAD = struct.Struct("<8s2sHIQQ")  # magic, type, columns of a row, 0, samples, rows
@@ -56,22 +55,14 @@ class Columns:
     """
 
     def __init__(
-        self,
-        store: Store,
-        split: str,
-        index: SplitIndex,
-        fields: Iterable[str],
-        *,
-        limit: int | None = None,
-        single: bool = False,
+        self, reader: ShardReader, fields: Iterable[str], *, limit: int | None = None, single: bool = False
     ) -> None:
-        self._store, self._split, self._index = store, split, index
+        self._store, self._split, self._index = reader.store, reader.split, reader.index
         self._files = {field: _file_name(field, single) for field in fields}
         self._of_tar = {views: [f for f in self._files if is_picture(member_of(f)) == views] for views in (False, True)}
         """Whether of the pictures, and the fields that are made from this tar of a shard."""
-        self._cache = store.cache
         self._limit, self._single = limit, single
-        self._starts: list[int] = index.first.tolist()
+        self._starts: list[int] = self._index.first.tolist()
         self._fit: bool | None = None
         self._open: dict[int, list[Column]] = {}
         """Shard to its open columns, in the order of the fields."""
@@ -122,7 +113,7 @@ class Columns:
         return self._fit
 
     def _folder(self, shard: int) -> Path:
-        return self._cache / self._index.record.shards[shard].sha256
+        return self._store.cache / self._index.record.shards[shard].sha256
 
     def _opened(self, shard: int) -> list[Column]:
         """The columns of a shard, opened; missing and broken ones are made."""
@@ -163,7 +154,7 @@ class Columns:
             except ShardError as error:
                 raise ShardError(f"{path}: {error}: {self._store.remedy}") from error
             size = sum(rows.nbytes for column in columns.values() for rows in column)
-            make_room(self._cache, size, self._limit)
+            make_room(self._store.cache, size, self._limit)
             for field, column in columns.items():
                 _write_column(folder / self._files[field], column)
 

@@ -13,7 +13,7 @@ from typing import Any
 from gcd_dataset.errors import ShardError, did_you_mean
 from gcd_dataset.filekinds import is_published
 from gcd_dataset.files import user_path
-from gcd_dataset.shards.access import REMEDY, Place, read_file, reading, unreadable
+from gcd_dataset.shards.access import REMEDY, Place, read_file, reading
 from gcd_dataset.shards.cache import default_cache
 from gcd_dataset.shards.index import SplitIndex, index_name
 from gcd_dataset.shards.layout import LARGEST_FILE, LARGEST_JSON, Bytes
@@ -33,6 +33,9 @@ class Store(ABC):
 
     remedy: str = REMEDY
     """The remedy in messages about damaged samples."""
+
+    cache: Path
+    """The folder with one folder for each shard, named by its SHA-256, for data derived from it."""
 
     @abstractmethod
     def location(self, name: str = "") -> str:
@@ -71,11 +74,6 @@ class Store(ABC):
     def ensure(self, split: str, shards: Iterable[ShardRecord], *, views: bool = False) -> None:  # noqa: B027
         """Bring whole tars of several shards onto this machine, at once; a folder has them. Raises ``ShardError``."""
 
-    @property
-    @abstractmethod
-    def cache(self) -> Path:
-        """The folder with one folder for each shard, named by its SHA-256, for data derived from it."""
-
     def unfinished(self, split: str) -> str | None:
         """A message that not all samples of the data set are made, with a remedy; ``None`` if all are."""
         manifest = self.manifest()
@@ -102,7 +100,7 @@ class FolderStore(Store):
     """
 
     def __init__(self, folder: Path | str, *, cache_dir: Path | str | None = None) -> None:
-        self.folder, self._cache = user_path(folder), default_cache(cache_dir)
+        self.folder, self.cache = user_path(folder), default_cache(cache_dir) / "shards"
         self.source = downloaded_from(self.folder)
         if self.source is not None:
             self.remedy = "delete it, and run gcd download again"
@@ -113,10 +111,6 @@ class FolderStore(Store):
 
     def location(self, name: str = "") -> str:
         return str(self.folder / name)
-
-    @property
-    def cache(self) -> Path:
-        return self._cache / "shards"
 
     def manifest(self) -> Manifest:
         if self._manifest is None:
@@ -151,14 +145,15 @@ class FolderStore(Store):
         # This reference keeps the descriptor open while another thread evicts it.
         file = self._files.get(shard.views_sha256 if views else shard.sha256) or self._opened(split, shard, views)
         data, got = memoryview(bytearray(end - start)), 0
-        try:
-            while got < len(data):  # one call reads at most 2 GiB, less on network file systems
+        while got < len(data):  # one call reads at most 2 GiB, less on network file systems
+            try:
                 more = os.preadv(file.fd, [data[got:]], start + got)
-                if not more:
-                    raise ShardError(f"{file.path}: ends at byte {start + got}, inside a sample: {self.remedy}")
-                got += more
-        except OSError as error:
-            raise unreadable(file.path, error) from error
+            except OSError:
+                with reading(file.path):
+                    raise
+            if not more:
+                raise ShardError(f"{file.path}: ends at byte {start + got}, inside a sample: {self.remedy}")
+            got += more
         return data
 
     def _continuation(self, split: str) -> str:
