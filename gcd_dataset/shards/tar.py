@@ -2,10 +2,10 @@
 
 import os
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from gcd_dataset.errors import ShardError, shown
-from gcd_dataset.shards.layout import Bytes
+from gcd_dataset.shards.layout import LARGEST_SAMPLE, MOST_VIEWS, Bytes
 
 BLOCK = 512
 ZEROS = bytes(BLOCK)
@@ -13,6 +13,8 @@ END = 2 * BLOCK  # bytes of zeros at the end of an archive
 CHUNK = 1 << 20  # bytes
 LONGEST_NAME = 100
 LARGEST = 8**11 - 1  # bytes: eleven octal digits
+MOST_MEMBERS = 2 * MOST_VIEWS + 32  # of a sample
+ENDLESS = 1 << 62  # a position behind any archive
 CHECKSUM = slice(148, 156)
 KIND, PLAIN = 156, ord("0")
 
@@ -97,6 +99,43 @@ def _members(header_at: Callable[[int], bytes], end: int) -> Iterator[TarMember]
             raise ShardError(f"member {shown(name)} is cut off at byte {end}")
         yield TarMember(name, position, size)
         position += padded(size)
+
+
+class CheckedTar:
+    """An archive of unknown origin, for other readers: raises ``ShardError`` before they see a harmful header.
+
+    Allowed are plain files with USTAR headers, up to ``LARGEST_SAMPLE`` bytes each and ``MOST_MEMBERS`` a sample: no
+    sparse files, no extended headers, no links, no compression. ``file`` is at the first byte of a header.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._position, self._next, self._rest = file, 0, 0, b""
+        self._key, self._names = "", set[str]()  # of the sample that is being read
+
+    def read(self, size: int) -> bytes:
+        """The next ``size`` bytes, fewer at the end of the file."""
+        data = self._file.read(size)
+        content, begin = self._rest + data if self._rest else data, self._position - len(self._rest)
+        self._position += len(data)
+        while self._next + BLOCK <= self._position:
+            header = content[self._next - begin : self._next - begin + BLOCK]
+            self._next = ENDLESS if header == ZEROS else self._next + self._checked(header)
+        self._rest = content[self._next - begin :] if self._next < self._position else b""
+        return data
+
+    def _checked(self, header: bytes) -> int:
+        """The size of a member and its header, in whole blocks."""
+        name, size = _parse(header, self._next)
+        if size > LARGEST_SAMPLE:
+            raise ShardError(f"member {shown(name)} has {size} bytes, over the limit of {LARGEST_SAMPLE}")
+        if (key := name.partition(".")[0]) != self._key:
+            self._key, self._names = key, set()
+        if name in self._names:
+            raise ShardError(f"member {shown(name)} occurs twice, again at byte {self._next}")
+        self._names.add(name)
+        if len(self._names) > MOST_MEMBERS:
+            raise ShardError(f"sample {shown(key)} has over {MOST_MEMBERS} members")
+        return BLOCK + padded(size)
 
 
 def _octal(digits: bytes) -> int:

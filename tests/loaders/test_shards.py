@@ -1,5 +1,6 @@
 """``GarmentDataset`` on a folder of shards: by index and as a stream."""
 
+import io
 import tarfile
 import zlib
 from collections.abc import Iterable, Mapping
@@ -23,7 +24,7 @@ from gcd_dataset.loaders.shards import SplitPart, parse_splits
 from gcd_dataset.records import Grade, Outcome, Sample, StoredView
 from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
 from gcd_dataset.shards.reader import Quality
-from gcd_dataset.shards.tar import samples_in
+from gcd_dataset.shards.tar import BLOCK, CheckedTar
 from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
 
 COUNT = 10
@@ -268,37 +269,73 @@ def test_damage_in_a_stream_is_named(tmp_path: Path) -> None:
     with tarfile.open(shard) as tar:
         entry = tar.getmember("gcd_000000001.verts.z")
     content = shard.read_bytes()
-    faults = ((entry.offset_data + 100, r", member verts\.z: bytes differ"), (entry.offset + 5, ": damaged"))
+    faults = (
+        (entry.offset_data + 100, r": sample gcd_000000001, member verts\.z: bytes differ from the written ones: copy"),
+        (entry.offset + 5, r": a damaged archive \(no tar header at byte \d+\): copy"),
+    )
     for place, fault in faults:
         shard.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
-        stream = iter(GarmentDataset(tmp_path, fields=["verts"], streaming=True))
-        next(stream)
-        with pytest.raises(ShardError, match=rf"train-00000\.tar: sample gcd_000000001{fault}"):
-            next(stream)
+        with pytest.raises(ShardError, match=rf"train-00000\.tar{fault}"):
+            list(GarmentDataset(tmp_path, fields=["verts"], streaming=True))
+    stream = GarmentDataset(tmp_path, fields=["meta"], streaming=True)
+    half = len(content) // 2
+    for broken in (b"\1" + content[1:], content[:half], content[: half // BLOCK * BLOCK], b""):
+        shard.write_bytes(broken)
+        with pytest.raises(ShardError, match=r"train-00000\.tar: .*: copy"):
+            list(stream)
 
 
-def header(kind: bytes = tarfile.REGTYPE, **more: Any) -> bytes:
-    info = tarfile.TarInfo("gcd_000000000.verts.z")
+# --------------------------------------------------------------------------------------------- tars of unknown origin
+
+
+def header(kind: bytes = tarfile.REGTYPE, name: str = "gcd_000000000.verts.z", **more: Any) -> bytes:
+    info = tarfile.TarInfo(name)
     info.type = kind
     for attribute, value in more.items():
         setattr(info, attribute, value)
     return info.tobuf(tarfile.PAX_FORMAT if "pax_headers" in more else tarfile.USTAR_FORMAT)
 
 
+def signed(position: int, field: bytes, kind: bytes = tarfile.REGTYPE) -> bytes:
+    """A header with other bytes at a position, and the checksum that belongs to them."""
+    content = bytearray(header(kind)[:BLOCK])
+    content[position : position + len(field)] = field
+    content[148:156] = 8 * b" "
+    content[148:156] = b"%06o\0 " % sum(content)
+    return bytes(content)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (header(tarfile.GNUTYPE_SPARSE), "not a plain file"),
+        (signed(483, b"100000000000", tarfile.GNUTYPE_SPARSE), "not a plain file"),  # declares 8 GiB
         (header(pax_headers={"size": "99999999999"}), "not a plain file"),
+        (header(tarfile.GNUTYPE_LONGNAME, size=1 << 32), "not a plain file"),
         (header(tarfile.SYMTYPE, linkname="/etc/passwd"), "not a plain file"),
-        (header(size=1 << 30), "is cut off at byte"),
+        (header(size=1 << 30), "1073741824 bytes, over the limit of 536870912"),
+        (signed(124, b"000000000017"), "tar header of another program"),  # other readers read twelve digits
+        (b"".join(header(name=f"gcd_000000000.{number}") for number in range(300)), "has over 232 members"),
         (2 * header(), "occurs twice"),
         (zlib.compress(bytes(1 << 20), wbits=31), "no tar header"),
     ],
 )
-def test_harmful_headers_are_refused(content: bytes, message: str) -> None:
-    with pytest.raises(ShardError, match=message):
-        list(samples_in(memoryview(content)))
+def test_harmful_headers_are_refused_before_webdataset_sees_them(tmp_path: Path, content: bytes, message: str) -> None:
+    shard = fill(tmp_path, range(2)) / "train-00000.tar"
+    stream = GarmentDataset(tmp_path, streaming=True)
+    shard.write_bytes(content + shard.read_bytes())
+    with pytest.raises(ShardError, match=rf"train-00000\.tar: a damaged archive \([^\n]*{message}"):
+        list(stream)
+
+
+@pytest.mark.parametrize("size", [1, 511, 512, 513, 10_240, 1 << 20])
+def test_headers_are_found_in_reads_of_any_size(folder: Path, size: int) -> None:
+    content = (folder / "train-00000.tar").read_bytes()
+    checked = CheckedTar(io.BytesIO(content))
+    assert b"".join(iter(lambda: checked.read(size), b"")) == content
+    last = content.rindex(b"gcd_000000003.points.z")
+    damaged = CheckedTar(io.BytesIO(content[:last] + b"x" + content[last + 1 :]))
+    with pytest.raises(ShardError, match=f"no tar header at byte {last}"):
+        list(iter(lambda: damaged.read(size), b""))
 
 
 @pytest.mark.parametrize("name", ["thing-000000.tar", "train-00000.tar", "train.tar"])
