@@ -271,11 +271,11 @@ class GarmentDataset(Garments):
 
     def fetch_ahead(self, indices: Iterable[int]) -> None:
         """Bring the shards of some garments into the cache; an error is left to the read that needs them."""
-        rows: dict[str, list[int]] = {}
-        for part, row in map(self._locate, indices):
-            rows.setdefault(part.reader.split, []).extend(part.reader.rows([row]).tolist())
+        positions: dict[str, list[int]] = {}
+        for part, position in map(self._locate, indices):
+            positions.setdefault(part.reader.split, []).append(position)
         with contextlib.suppress(GcdError):
-            for split, chosen in rows.items():
+            for split, chosen in positions.items():
                 self._columns[split].fetch(chosen)
 
     def shard_lengths(self) -> list[int]:
@@ -296,9 +296,9 @@ class GarmentDataset(Garments):
     def _load(self, position: int, *, is_of_batch: bool = False) -> Any:
         """The item at a position, from columns; from the shard where none are made, but a batch makes them."""
         part, row = self._locate(position)
-        columns, rows = self._columns[part.reader.split], part.reader.rows([row])
-        if columns.has(int(rows[0])) or (is_of_batch and self._fit(columns)):
-            return self._transformed(self._stored(columns, rows)[0], position)
+        columns = self._columns[part.reader.split]
+        if columns.has(row) or (is_of_batch and self._fit(columns)):
+            return self._transformed(self._stored(columns, [row])[0], position)
         with part.reader.naming(row):
             return self._item(part.reader.read(row, self._member_names), position)
 
@@ -319,7 +319,7 @@ class GarmentDataset(Garments):
                     alone.append(self._load(position, is_of_batch=True))
             return alone
         first = end - len(part.positions) - part.positions.start  # index of the reader's first garment
-        items = self._stored(columns, part.reader.rows(np.array(positions) - first))
+        items = self._stored(columns, np.array(positions) - first)
         if self.transform is None:
             return items
         return [self._transformed(item, position) for item, position in zip(items, positions, strict=True)]
@@ -337,8 +337,8 @@ class GarmentDataset(Garments):
             )
         return fits
 
-    def _stored(self, columns: Columns, rows: np.ndarray) -> StoredItems:
-        return StoredItems(self.fields, columns.views(rows.tolist()), self.dtype, len(rows))
+    def _stored(self, columns: Columns, rows: Sequence[int] | np.ndarray) -> StoredItems:
+        return StoredItems(self.fields, columns.views(rows), self.dtype, len(rows))
 
     def sample(self, index: int | str) -> Sample:
         part, position = self._locate(self._position(index))

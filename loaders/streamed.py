@@ -17,10 +17,10 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import open_regular
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.loaders.ranks import accelerate_processes, current_rank, in_process_group
-from gcd_dataset.loaders.shards import META, GarmentDataset
+from gcd_dataset.loaders.shards import GarmentDataset
 from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.layout import Bytes, is_picture, key_of
-from gcd_dataset.shards.notes import checked_meta
+from gcd_dataset.shards.layout import META, Bytes, is_picture, key_of
+from gcd_dataset.shards.meta import checked_meta
 from gcd_dataset.shards.reader import ShardReader, Verify, naming_sample
 from gcd_dataset.shards.tar import CheckedTar
 

@@ -13,7 +13,7 @@ import hashlib
 import mmap
 import struct
 from bisect import bisect_right
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,14 +50,14 @@ class Column(NamedTuple):
 class Columns:
     """The columns of some fields of a split. May be pickled, forked, and read from several threads.
 
-    ``fields``: those of ``views``; they are made together. ``limit``: most bytes of the cache, ``None`` for no limit;
+    Positions are those of ``reader``. ``fields``: those of ``views``; they are made together. ``limit``: most bytes of the cache, ``None`` for no limit;
     the shards used longest ago are removed first. ``single``: floating numbers of 8 bytes are kept as float32.
     """
 
     def __init__(
         self, reader: ShardReader, fields: Iterable[str], *, limit: int | None = None, single: bool = False
     ) -> None:
-        self._store, self._split, self._index = reader.store, reader.split, reader.index
+        self._reader, self._store, self._index = reader, reader.store, reader.index
         self._files = {field: _file_name(field, single) for field in fields}
         self._of_tar = {views: [f for f in self._files if is_picture(member_of(f)) == views] for views in (False, True)}
         """Whether of the pictures, and the fields that are made from this tar of a shard."""
@@ -70,37 +70,35 @@ class Columns:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open": {}}
 
-    def views(self, rows: Collection[int]) -> dict[str, list[np.ndarray]]:
+    def views(self, positions: Sequence[int] | np.ndarray) -> dict[str, list[np.ndarray]]:
         """Field to the stored rows of each sample: views of mapped memory, bytes for fields that are no arrays.
 
-        ``rows``: rows of the index. Makes missing columns. Raises ``ShardError``, ``OutputError``.
+        Makes missing columns. Raises ``ShardError``, ``OutputError``.
         """
-        shards, opened = [bisect_right(self._starts, row) - 1 for row in rows], self._open
-        if not opened.keys() >= set(shards):
-            self.fetch(rows)
-        columns = [opened.get(shard) or self._opened(shard) for shard in shards]
-        numbers = [row - self._starts[shard] for row, shard in zip(rows, shards, strict=True)]
+        places, opened = self._places(positions), self._open
+        if not opened.keys() >= {shard for shard, _ in places}:
+            self.fetch(positions)
+        samples = [(opened.get(shard) or self._opened(shard), number) for shard, number in places]
         views: dict[str, list[np.ndarray]] = {}
-        for place, field in enumerate(self._files):
+        for column, field in enumerate(self._files):
             views[field] = values = []
-            for of_shard, number in zip(columns, numbers, strict=True):
-                stored, starts = of_shard[place]
+            for columns, number in samples:
+                stored, starts = columns[column]
                 values.append(stored[starts[number] : starts[number + 1]])
         return views
 
-    def fetch(self, rows: Iterable[int]) -> None:
+    def fetch(self, positions: Sequence[int] | np.ndarray) -> None:
         """Bring the tars of some samples' shards onto this machine, at once, unless their columns are made."""
-        unopened = {bisect_right(self._starts, row) - 1 for row in rows} - self._open.keys()
+        unopened = {shard for shard, _ in self._places(positions)} - self._open.keys()
         for views, fields in self._of_tar.items():
-            files = [self._files[field] for field in fields]
-            missing = [shard for shard in unopened if not all((self._folder(shard) / name).exists() for name in files)]
+            missing = [self._index.record.shards[shard] for shard in unopened if not self._are_made(shard, fields)]
             if missing:
-                self._store.ensure(self._split, [self._index.record.shards[shard] for shard in missing], views=views)
+                self._store.ensure(self._reader.split, missing, views=views)
 
-    def has(self, row: int) -> bool:
+    def has(self, position: int) -> bool:
         """Whether the columns of a sample are made."""
-        shard = bisect_right(self._starts, row) - 1
-        return shard in self._open or all((self._folder(shard) / name).exists() for name in self._files.values())
+        [(shard, _)] = self._places([position])
+        return shard in self._open or self._are_made(shard, self._files)
 
     def fit(self) -> bool:
         """Whether the columns of all shards fit into the cache, judged by the first shard that has samples."""
@@ -111,6 +109,15 @@ class Columns:
             size = sum(column.rows.nbytes + 8 * len(column.starts) for column in columns)
             self._fit = self._limit is None or size / max(counts[shard], 1) * len(self._index) <= self._limit
         return self._fit
+
+    def _places(self, positions: Sequence[int] | np.ndarray) -> list[tuple[int, int]]:
+        """The shard of each sample, and its number there."""
+        begins, rows = self._starts, self._reader.rows(positions).tolist()
+        return [(shard := bisect_right(begins, row) - 1, row - begins[shard]) for row in rows]
+
+    def _are_made(self, shard: int, fields: Iterable[str]) -> bool:
+        folder = self._folder(shard)
+        return all((folder / self._files[field]).exists() for field in fields)
 
     def _folder(self, shard: int) -> Path:
         return self._store.cache / self._index.record.shards[shard].sha256
@@ -142,7 +149,7 @@ class Columns:
             chosen = [field for field in of_tar if field in fields]
             if not chosen:
                 continue
-            path = self._store.path(self._split, shard, views=views)
+            path = self._store.path(self._reader.split, shard, views=views)
             content = mapped(path)
             if hashlib.sha256(content).hexdigest() != (shard.views_sha256 if views else shard.sha256):
                 raise ShardError(f"{path}: bytes differ from the written ones: {self._store.remedy}")
