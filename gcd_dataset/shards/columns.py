@@ -50,8 +50,9 @@ class Column(NamedTuple):
 class Columns:
     """The columns of some fields of a split. May be pickled, forked, and read from several threads.
 
-    Positions are those of ``reader``. ``fields``: those of ``views``; they are made together. ``limit``: most bytes of the cache, ``None`` for no limit;
-    the shards used longest ago are removed first. ``single``: floating numbers of 8 bytes are kept as float32.
+    Positions are those of ``reader``. ``fields``: those of ``views``; they are made together. ``limit``: most bytes of
+    the cache, ``None`` for no limit; the shards used longest ago are removed first. ``single``: floating numbers of 8
+    bytes are kept as float32.
     """
 
     def __init__(
