@@ -4,6 +4,7 @@ import sys
 import tarfile
 from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import repeat
 from pathlib import Path
 from types import FrameType
@@ -116,7 +117,7 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         views = StreamedTar.of(reader, shard, rows, True).samples(pictures) if pictures else repeat({}, len(rows))
         for place, (main, of_views) in enumerate(zip(tar.samples(names - pictures), views, strict=True)):
             members = {**main, **of_views}
-            with naming_sample(lambda place=place: f"{tar.name}: sample {tar.keys[place]}"):
+            with naming_sample(partial("{}: sample {}".format, tar.name, tar.keys[place])):
                 try:
                     if missing := sorted(names - members.keys()):
                         raise ShardError(f"member {missing[0]} is missing")
