@@ -4,6 +4,7 @@ import sys
 import tarfile
 from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import repeat
 from pathlib import Path
 from types import FrameType
@@ -17,10 +18,10 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import open_regular
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.loaders.ranks import accelerate_processes, current_rank, in_process_group
-from gcd_dataset.loaders.shards import META, GarmentDataset
+from gcd_dataset.loaders.shards import GarmentDataset
 from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.layout import Bytes, is_picture, key_of
-from gcd_dataset.shards.notes import checked_meta
+from gcd_dataset.shards.layout import META, Bytes, is_picture, key_of
+from gcd_dataset.shards.meta import checked_meta
 from gcd_dataset.shards.reader import ShardReader, Verify, naming_sample
 from gcd_dataset.shards.tar import CheckedTar
 
@@ -116,7 +117,7 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         views = StreamedTar.of(reader, shard, rows, True).samples(pictures) if pictures else repeat({}, len(rows))
         for place, (main, of_views) in enumerate(zip(tar.samples(names - pictures), views, strict=True)):
             members = {**main, **of_views}
-            with naming_sample(lambda place=place: f"{tar.name}: sample {tar.spans[place][0]}"):
+            with naming_sample(partial("{}: sample {}".format, tar.name, tar.spans[place][0])):
                 try:
                     if missing := sorted(names - members.keys()):
                         raise ShardError(f"member {missing[0]} is missing")

@@ -16,14 +16,13 @@ from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.bodies import FOLDER
 from gcd_dataset.release.garment_list import PublishedGarments
 from gcd_dataset.release.published_names import DEFAULT_BODY
-from gcd_dataset.shards.access import REMEDY, reading
-from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.access import REMEDY, Place, reading
 from gcd_dataset.shards.index import index_name
 from gcd_dataset.shards.layout import BODIES, GARMENTS, Layout, key_of
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, SplitRecord
 from gcd_dataset.shards.notes import REJECTS, Note, hashed, note_name, note_of, rejects_bytes, shards_named
-from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.reader import ShardReader
+from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.shards.tar import BLOCK, tar_entries
 
 FileFault = tuple[Check, str, str]

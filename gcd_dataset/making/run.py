@@ -19,14 +19,13 @@ from gcd_dataset.generator.recipes import find_recipe, recipe_names
 from gcd_dataset.making.log import run_log
 from gcd_dataset.making.progress import Pace, Progress, ProgressCallback, ignore_progress
 from gcd_dataset.making.tasks import Job, Task, Work
-from gcd_dataset.shards.access import locked, reading, writing
-from gcd_dataset.shards.layout import FAILED, Bytes
+from gcd_dataset.shards.access import Place, locked, reading, writing
+from gcd_dataset.shards.layout import FAILED, META, Bytes
 from gcd_dataset.shards.manifest import MANIFEST, Plan, parse_manifest, shard_name
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import (
     DRAFT,
     EARLIER,
-    META,
     OLD,
     Gathered,
     Note,
@@ -37,7 +36,6 @@ from gcd_dataset.shards.notes import (
     shards_named,
     stored_samples,
 )
-from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import Draft, draft_name, remove_drafts
 
 OTHER_PATTERNS = (

@@ -15,11 +15,10 @@ from urllib.parse import unquote
 
 from gcd_dataset.errors import ConfigError, OutputError, ShardError, shown
 from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.shards.access import read_file, writing
+from gcd_dataset.shards.access import Place, read_file, writing
 from gcd_dataset.shards.cache import default_cache
 from gcd_dataset.shards.manifest import MANIFEST
 from gcd_dataset.shards.notes import shards_named
-from gcd_dataset.shards.place import Place
 
 LOCAL = ("file", "local")  # protocols of fsspec for folders
 READ_ONLY = ("http", "https", "hf")

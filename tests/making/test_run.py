@@ -26,8 +26,8 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making import garments, run, store
 from gcd_dataset.making.tasks import Work
 from gcd_dataset.shards import ShardReader, encode_sample, read_manifest
+from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.manifest import Plan
-from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import draft_name
 from tests.making.conftest import COUNT, CUFFED, killed, made_once, stopped
 from tests.shards.folders import contents, forbidden, public_folder

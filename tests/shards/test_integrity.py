@@ -21,12 +21,12 @@ from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making.run import index
 from gcd_dataset.shards import ShardReader, decode_sample, encode_sample
+from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.cache import make_room, size_in_bytes
 from gcd_dataset.shards.codec import decode_field
 from gcd_dataset.shards.layout import is_picture
 from gcd_dataset.shards.meta import sealed
 from gcd_dataset.shards.notes import gather
-from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.tar import BLOCK, END, tar_entry
 from tests.shards.folders import fill, forbidden, public_folder
 
