@@ -23,9 +23,9 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.loaders.shards import SplitPart, parse_splits
 from gcd_dataset.records import Grade, Outcome, Sample, StoredView
 from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
-from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import key_of
 from gcd_dataset.shards.reader import Quality
+from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.shards.tar import BLOCK, CheckedTar
 from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
 
