@@ -1,5 +1,6 @@
 """Base classes of the data sets of garments, and the checks of their arguments."""
 
+import contextlib
 import inspect
 import math
 import operator
@@ -10,8 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import fields
 from difflib import get_close_matches
-from functools import partial
-from itertools import islice
+from functools import cached_property, partial
 from typing import Any, SupportsIndex, TypeAlias, overload
 
 import numpy as np
@@ -196,7 +196,12 @@ class Garments(Dataset[GarmentFields], ABC):
 
     def _load(self, position: int) -> Any:
         """The item at a position: an index normalised to 0 … ``len(self)`` - 1."""
-        return self._item(self._members(position, members_of(self.fields, self._member_of)), position)
+        return self._item(self._members(position, self._member_names), position)
+
+    @cached_property
+    def _member_names(self) -> tuple[str, ...]:
+        """The members that the fields are decoded from."""
+        return members_of(self.fields, self._member_of)
 
     def _description(self) -> list[str]:
         """Words for ``repr`` and error messages, such as seed or folder."""
@@ -233,7 +238,14 @@ class Garments(Dataset[GarmentFields], ABC):
         if position is None:
             if not len(self):
                 raise UnknownKeyError(f"no garment {key!r:.99}: the data set is empty")
-            raise unknown_key(key, map(self._key, range(len(self))), [self._key(0), self._key(len(self) - 1)])
+            compared = [self._key(number) for number in range(min(len(self), MOST_COMPARED))]
+            digits = re.sub(r"[^0-9]", "", key)[:18]
+            by_digits = [key_of(int(digits))] if digits else []
+            near = [name for name in by_digits if name in compared] or get_close_matches(key, compared, n=3)
+            hint = f"did you mean {' or '.join(near)}? " if near else ""
+            first, last = self._key(0), self._key(len(self) - 1)
+            known = f"keys are {first} to {last}" if first != last else f"there is {first}"
+            raise UnknownKeyError(f"no garment {key!r:.99}: {hint}{known}")
         return position
 
     def _find_key(self, key: str) -> int | None:
@@ -350,43 +362,30 @@ def load_items(dataset: Any, indices: Sequence[int]) -> list[Any]:
     return items
 
 
-class note_items:  # noqa: N801 -- a context manager, named as functions are
-    """Context manager: adds a note with the indices to an error."""
-
-    # A class, not a generator function: entered for every garment, and several times as fast.
-    __slots__ = ("_dataset", "_indices")
-
-    def __init__(self, dataset: Any, *indices: int) -> None:
-        self._dataset, self._indices = dataset, indices
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, Exception) and self._indices:
-            items = f"{', '.join(map(str, self._indices))} of {type(self._dataset).__name__}"
-            error.add_note(f"while loading {'garment' if len(self._indices) == 1 else 'garments'} {items}")
+@contextlib.contextmanager
+def note_items(dataset: Any, *indices: int) -> Iterator[None]:
+    """Add a note with the indices to an error."""
+    try:
+        yield
+    except Exception as error:
+        if indices:
+            items = f"{', '.join(map(str, indices))} of {type(dataset).__name__}"
+            error.add_note(f"while loading {'garment' if len(indices) == 1 else 'garments'} {items}")
+        raise
 
 
-class as_transform_error:  # noqa: N801 -- a context manager, named as functions are
-    """Context manager: turns an error of a transform into a ``TransformError`` that names the garment."""
-
-    # A class for speed, as ``note_items``.
-    __slots__ = ("_dataset", "_position")
-
-    def __init__(self, dataset: Garments, position: int) -> None:
-        self._dataset, self._position = dataset, position
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        # A TransformError comes from a nested data set and names its garment already.
-        if isinstance(error, Exception) and not isinstance(error, TransformError):
-            dataset = f"{type(self._dataset).__name__}({', '.join(self._dataset._description())})"
-            garment = f"{self._dataset._key(self._position)}, number {self._position} of {dataset}"
-            message = " ".join(f"{type(error).__name__}: {error}".split())
-            raise TransformError(f"the transform of {garment}: {message}") from error
+@contextlib.contextmanager
+def as_transform_error(dataset: Garments, position: int) -> Iterator[None]:
+    """Turn an error of a transform into a ``TransformError`` that names the garment."""
+    try:
+        yield
+    except TransformError:  # of a nested data set: it names its garment already
+        raise
+    except Exception as error:
+        name = f"{type(dataset).__name__}({', '.join(dataset._description())})"
+        garment = f"{dataset._key(position)}, number {position} of {name}"
+        message = " ".join(f"{type(error).__name__}: {error}".split())
+        raise TransformError(f"the transform of {garment}: {message}") from error
 
 
 def resolve_index(index: Any, length: int, what: str = "garment") -> int:
@@ -448,20 +447,6 @@ def index_from_key(key: str) -> int | None:
     """
     match = re.fullmatch(r"gcd_([0-9]{9,18})", key)
     return int(match[1]) if match and key_of(int(match[1])) == key else None
-
-
-def unknown_key(key: str, keys: Iterable[str], like: Sequence[str]) -> UnknownKeyError:
-    """The error for an unknown key, with similar keys.
-
-    ``keys``: the known keys; ``like``: the first and the last, for the message.
-    """
-    digits = re.sub(r"[^0-9]", "", key)[:18]
-    compared = list(islice(keys, MOST_COMPARED))
-    by_digits = [key_of(int(digits))] if digits else []
-    near = [name for name in by_digits if name in compared] or get_close_matches(key, compared, n=3)
-    hint = f"did you mean {' or '.join(near)}? " if near else ""
-    known = f"keys are {like[0]} to {like[1]}" if like[0] != like[1] else f"there is {like[0]}"
-    return UnknownKeyError(f"no garment {key!r:.99}: {hint}{known}")
 
 
 def recipe_from_meta(meta: Bytes) -> dict[str, Any]:

@@ -32,6 +32,7 @@ from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import read_file
 from gcd_dataset.shards.codec import decode_sample, encode_sample
 from gcd_dataset.shards.layout import (
+    META,
     SCHEMA,
     Bytes,
     fields_of,
@@ -43,7 +44,6 @@ from gcd_dataset.shards.layout import (
     recipe_hash,
 )
 from gcd_dataset.shards.meta import read_meta
-from gcd_dataset.shards.notes import META
 from gcd_dataset.shards.tar import END, samples_in, tar_entry
 from gcd_dataset.workers import prefetch
 

@@ -502,13 +502,9 @@ class StreamBatches(IterableDataset):
             if not batch or (self._drop_last and len(batch) < self._batch_size):
                 return None
             random_state.seed(self._seed, *self._cursor, len(batch))
-            return self._step(len(batch)), self._collate(batch)
-
-    def _step(self, count: int) -> Step:
-        """The step of the ``count`` items made last."""
-        (rank, world_size), (epoch, after) = self._rank, self._cursor
-        first = epoch * LONGEST_PASS + after - count * world_size + rank
-        return Step(self._cursor, list(range(first, first + count * world_size, world_size)))
+            end = self._cursor.epoch * LONGEST_PASS + self._cursor.position + rank
+            uses = list(range(end - len(batch) * world_size, end, world_size))
+            return Step(self._cursor, uses), self._collate(batch)
 
 
 def _next_pass(cursor: StreamCursor) -> StreamCursor:

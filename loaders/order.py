@@ -93,9 +93,6 @@ class WindowedPermutation:
         self._begin = np.cumsum([0, *counts[shards]])  # where each of them begins in that order
         self._windows = np.append(self._begin[:-1:window], self._begin[-1])
 
-    def __call__(self, number: int) -> int:
-        return self.many([number])[0]
-
     def window_of(self, number: int) -> int:
         """The window of a number."""
         return int(np.searchsorted(self._windows, number, "right")) - 1
@@ -152,37 +149,25 @@ class SampleOrder:
         self._fetch_ahead, self._ahead = getattr(dataset, "fetch_ahead", None), (0, -1)
         self._dataset_entries = dataset_entries(dataset)
 
-    def __getitem__(self, position: int) -> int:
-        """The index at a position."""
-        if self._is_endless:
-            return position
-        epoch, offset = divmod(position, self.length)
-        return self._permutation(epoch)(offset) if self.shuffle else offset
-
-    def _permutation(self, epoch: int) -> Permutation | WindowedPermutation:
-        if self.window is None:
-            return cached_permutation(self.length, self.seed, epoch)
-        if self._windowed is None or self._windowed[0] != epoch:
-            self._windowed = epoch, WindowedPermutation(self._shards, self.window, self.seed, epoch)
-        return self._windowed[1]
-
     def indices(self, positions: Sequence[int]) -> list[int]:
         """The indices at some positions of one epoch."""
-        if self._is_endless or not self.shuffle or not len(positions):
-            return [self[position] for position in positions]
+        if self._is_endless or not positions:
+            return list(positions)
         epoch = positions[0] // self.length
         offsets = [position - epoch * self.length for position in positions]
-        permutation = self._permutation(epoch)
-        if isinstance(permutation, WindowedPermutation) and self._fetch_ahead is not None:
-            self._look_ahead(permutation, epoch, permutation.window_of(offsets[-1]) + 1)
+        if not self.shuffle:
+            return offsets
+        if self.window is None:
+            return cached_permutation(self.length, self.seed, epoch).many(offsets)
+        if self._windowed is None or self._windowed[0] != epoch:
+            self._windowed = epoch, WindowedPermutation(self._shards, self.window, self.seed, epoch)
+        permutation = self._windowed[1]
+        ahead = epoch, permutation.window_of(offsets[-1]) + 1
+        if self._fetch_ahead is not None and self._ahead < ahead:
+            # A thread fetches the shards of the next window, once, while this one is read.
+            self._ahead = ahead
+            Thread(target=self._fetch_ahead, args=(permutation.first_of_shards(ahead[1]),), daemon=True).start()
         return permutation.many(offsets)
-
-    def _look_ahead(self, permutation: WindowedPermutation, epoch: int, window: int) -> None:
-        """Let a thread fetch the shards of a window, once, while the window before it is read."""
-        if self._ahead < (epoch, window):
-            self._ahead = epoch, window
-            chosen = permutation.first_of_shards(window)
-            Thread(target=self._fetch_ahead, args=(chosen,), daemon=True).start()
 
     def uses(self, positions: Sequence[int], epoch: int) -> list[int]:
         """The number of each use of a garment: its epoch; its position for data sets that repeat garments in one."""
@@ -220,10 +205,6 @@ class RankShare:
     rank: int
     world_size: int
     pad: Pad
-
-    def resume(self, position: int) -> int:
-        """The position if every rank gets a garment in the rest of its epoch, otherwise the end of the epoch."""
-        return position if self.positions(position) else self.order.end(position)
 
     def positions(self, start: int) -> range:
         """This rank's positions from ``start`` to the end of the epoch; with padding possibly beyond that end."""
@@ -323,7 +304,9 @@ class ElasticSampler(DistributedSampler[int]):
     def __iter__(self) -> Iterator[int]:
         self._require_no_second_split()
         self._rank_share = rank_share = self.rank_share()
-        self._start = rank_share.resume(self.position if self._is_loaded else self.order.next_pass(self.position))
+        start = self.position if self._is_loaded else self.order.next_pass(self.position)
+        # A rest of an epoch in which not every rank gets a garment is left out.
+        self._start = start if rank_share.positions(start) else self.order.end(start)
         return self._indices(rank_share, self._start)
 
     def set_epoch(self, epoch: int) -> None:

@@ -32,20 +32,18 @@ from gcd_dataset.records import Sample
 from gcd_dataset.shards.cache import SIZE, size_in_bytes
 from gcd_dataset.shards.codec import NO_PICTURE, SECTIONS, decode_field, decode_fields
 from gcd_dataset.shards.columns import Columns, value_of
-from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import (
     JOINT,
-    MEMBERS,
+    META,
     Bytes,
     fields_of,
     is_picture,
     is_view_field,
     joint_fields,
     member_of,
-    members_of,
 )
 from gcd_dataset.shards.reader import Quality, ShardReader, Verify
-from gcd_dataset.shards.store import Store
+from gcd_dataset.shards.store import FolderStore, Store
 
 BOUND = r"-?[0-9]{1,18}%?"  # 18 digits fit an int64
 PART = re.compile(rf"\s*(?P<name>\w[\w.-]*)\s*(?:\[\s*(?P<start>{BOUND})?\s*:\s*(?P<stop>{BOUND})?\s*\])?\s*")
@@ -131,7 +129,6 @@ class StoredItems(Sequence[GarmentItem]):
             raise ShardError(f"field {field}: {error}") from error
 
 
-META = MEMBERS[0]
 RECIPE = "recipe:"
 SERVER = ("revision", "endpoint", "token", "patience")
 """Options of remote sources."""
@@ -259,10 +256,7 @@ class GarmentDataset(Garments):
         limit = size_in_bytes(max_cache_size)
         single = dtype not in (None, torch.float64)
         stored = _stored_fields(self.fields, shared)
-        self._columns = {
-            name: Columns(store, name, reader.index, stored, limit=limit, single=single)
-            for name, reader in readers.items()
-        }
+        self._columns = {name: Columns(reader, stored, limit=limit, single=single) for name, reader in readers.items()}
         self._is_remote, self._told = isinstance(store, RemoteStore), False
         self.window = self._window(window, limit)
         """Number of shards among which a random order moves freely; ``None``: all."""
@@ -277,11 +271,11 @@ class GarmentDataset(Garments):
 
     def fetch_ahead(self, indices: Iterable[int]) -> None:
         """Bring the shards of some garments into the cache; an error is left to the read that needs them."""
-        rows: dict[str, list[int]] = {}
-        for part, row in map(self._locate, indices):
-            rows.setdefault(part.reader.split, []).extend(part.reader.rows([row]).tolist())
+        positions: dict[str, list[int]] = {}
+        for part, position in map(self._locate, indices):
+            positions.setdefault(part.reader.split, []).append(position)
         with contextlib.suppress(GcdError):
-            for split, chosen in rows.items():
+            for split, chosen in positions.items():
                 self._columns[split].fetch(chosen)
 
     def shard_lengths(self) -> list[int]:
@@ -299,11 +293,12 @@ class GarmentDataset(Garments):
         size = sum(shard.size for part in self._parts for shard in part.reader.record.shards)
         return WINDOW if self._is_remote or (limit is not None and GROWTH * size > limit) else None
 
-    def _load(self, position: int) -> Any:
+    def _load(self, position: int, *, is_of_batch: bool = False) -> Any:
+        """The item at a position, from columns; from the shard where none are made, but a batch makes them."""
         part, row = self._locate(position)
-        columns, rows = self._columns[part.reader.split], part.reader.rows([row])
-        if columns.has(int(rows[0])):
-            return self._transformed(self._stored(columns, rows)[0], position)
+        columns = self._columns[part.reader.split]
+        if columns.has(row) or (is_of_batch and self._fit(columns)):
+            return self._transformed(self._stored(columns, [row])[0], position)
         with part.reader.naming(row):
             return self._item(part.reader.read(row, self._member_names), position)
 
@@ -317,22 +312,17 @@ class GarmentDataset(Garments):
         number = bisect.bisect_right(self._ends, min(positions))
         part, end = self._parts[number], self._ends[number]
         columns = self._columns[part.reader.split]
-        if max(positions) >= end or not self._fit(columns):
-            return [self._alone(index, position) for index, position in zip(indices, positions, strict=True)]
+        if max(positions) >= end or not self._fit(columns):  # of several splits, or too large for the cache
+            alone = list[Any]()
+            for index, position in zip(indices, positions, strict=True):
+                with note_items(self, index):
+                    alone.append(self._load(position, is_of_batch=True))
+            return alone
         first = end - len(part.positions) - part.positions.start  # index of the reader's first garment
-        items = self._stored(columns, part.reader.rows(np.array(positions) - first))
+        items = self._stored(columns, np.array(positions) - first)
         if self.transform is None:
             return items
         return [self._transformed(item, position) for item, position in zip(items, positions, strict=True)]
-
-    def _alone(self, index: int, position: int) -> Any:
-        """An item of a batch out of several splits, or of a set whose columns do not fit into the cache."""
-        with note_items(self, index):
-            part, row = self._locate(position)
-            columns = self._columns[part.reader.split]
-            if not self._fit(columns):
-                return self._load(position)
-            return self._transformed(self._stored(columns, part.reader.rows([row]))[0], position)
 
     def _fit(self, columns: Columns) -> bool:
         """Whether columns serve: in windows always, else if those of the whole split fit into the cache."""
@@ -347,8 +337,8 @@ class GarmentDataset(Garments):
             )
         return fits
 
-    def _stored(self, columns: Columns, rows: np.ndarray) -> StoredItems:
-        return StoredItems(self.fields, columns.views(rows.tolist()), self.dtype, len(rows))
+    def _stored(self, columns: Columns, rows: Sequence[int] | np.ndarray) -> StoredItems:
+        return StoredItems(self.fields, columns.views(rows), self.dtype, len(rows))
 
     def sample(self, index: int | str) -> Sample:
         part, position = self._locate(self._position(index))
@@ -395,10 +385,6 @@ class GarmentDataset(Garments):
     def _key(self, position: int) -> str:
         part, position = self._locate(position)
         return part.reader.key(position)
-
-    @property
-    def _member_names(self) -> tuple[str, ...]:
-        return members_of(self.fields, self._member_of)
 
     def _locate(self, position: int) -> tuple["_SplitPart", int]:
         """The part that holds a garment, and its position in the part's reader."""

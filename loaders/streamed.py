@@ -4,6 +4,7 @@ import sys
 import tarfile
 from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import repeat
 from pathlib import Path
 from types import FrameType
@@ -17,10 +18,10 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import open_regular
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.loaders.ranks import accelerate_processes, current_rank, in_process_group
-from gcd_dataset.loaders.shards import META, GarmentDataset
+from gcd_dataset.loaders.shards import GarmentDataset
 from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.layout import Bytes, is_picture, key_of
-from gcd_dataset.shards.notes import checked_meta
+from gcd_dataset.shards.layout import META, Bytes, is_picture, key_of
+from gcd_dataset.shards.meta import checked_meta
 from gcd_dataset.shards.reader import ShardReader, Verify, naming_sample
 from gcd_dataset.shards.tar import CheckedTar
 
@@ -29,24 +30,25 @@ LENGTHS = (DataLoader.__len__.__code__, ChainDataset.__len__.__code__)
 
 @dataclass(frozen=True)
 class StreamedTar:
-    """Samples of a tar in the order of the file, the first one at byte ``start``."""
+    """Samples of a tar in the order of the file."""
 
     path: Path
     name: str
     """Path or URL, for messages."""
-    start: int
-    keys: list[str]
+    spans: list[tuple[str, int, int]]
+    """Key, first and last byte of each sample."""
     remedy: str
 
     @classmethod
     def of(cls, reader: ShardReader, shard: int, rows: list[int], views: bool) -> "StreamedTar":
         """The samples of ``rows`` of the index, or their pictures; a server's tar is fetched whole, and verified."""
         index, record, store = reader.index, reader.record.shards[shard], reader.store
+        starts, ends = (index.views_start, index.views_end) if views else (index.start, index.end)
+        keys = map(key_of, index.number[rows].tolist())
         return cls(
             store.path(reader.split, record, views=views),
             store.location(record.name(reader.split, views=views)),
-            int((index.views_start if views else index.start)[rows[0]]),
-            [key_of(number) for number in index.number[rows].tolist()],
+            [*zip(keys, starts[rows].tolist(), ends[rows].tolist(), strict=True)],
             store.remedy,
         )
 
@@ -57,20 +59,19 @@ class StreamedTar:
         count = 0
         # Opened here: webdataset has its own ways to open URLs, and with WDS_SECURE=1 opens nothing.
         with reading(self.path), open_regular(self.path) as file:
-            file.seek(self.start)
-            source = {"url": self.name, "stream": CheckedTar(file)}
+            source = {"url": self.name, "stream": CheckedTar(file, self.spans)}
             try:
                 for sample in group_by_keys(tar_file_expander([source]), suffixes=wanted):
-                    if sample["__key__"] == self.keys[count]:  # else a sample that was not asked for
-                        yield {member: data for member, data in sample.items() if not member.startswith("__")}
-                        count += 1
-                    if count == len(self.keys):
+                    if sample["__key__"] != self.spans[count][0]:  # a name with a folder
+                        break
+                    yield {member: data for member, data in sample.items() if not member.startswith("__")}
+                    if (count := count + 1) == len(self.spans):
                         return
             except (tarfile.TarError, ShardError, ValueError) as error:  # ValueError: a name occurs twice
                 fault = str(error.args[0]).partition(" @ ")[0]  # webdataset appends the file object
                 raise ShardError(f"{self.name}: a damaged archive ({fault}): {self.remedy}") from error
         # tarfile takes a damaged header for the end of the archive.
-        raise ShardError(f"{self.name}: {count} samples of {len(self.keys)} read: {self.remedy}")
+        raise ShardError(f"{self.name}: {count} samples of {len(self.spans)} read: {self.remedy}")
 
 
 class StreamedGarments(GarmentDataset, IterableDataset):
@@ -116,7 +117,7 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         views = StreamedTar.of(reader, shard, rows, True).samples(pictures) if pictures else repeat({}, len(rows))
         for place, (main, of_views) in enumerate(zip(tar.samples(names - pictures), views, strict=True)):
             members = {**main, **of_views}
-            with naming_sample(lambda place=place: f"{tar.name}: sample {tar.keys[place]}"):
+            with naming_sample(partial("{}: sample {}".format, tar.name, tar.spans[place][0])):
                 try:
                     if missing := sorted(names - members.keys()):
                         raise ShardError(f"member {missing[0]} is missing")

@@ -18,7 +18,7 @@ from gcd_dataset.loaders import BodyDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards import encode_sample
-from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.shards.writer import Draft
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
 from tests.hub.server import Hub, running_hub

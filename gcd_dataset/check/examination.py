@@ -21,8 +21,8 @@ from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCo
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
 from gcd_dataset.release import PublishedBatches, PublishedGarments
-from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import BODIES, FAILED, key_of
+from gcd_dataset.shards.store import FolderStore
 
 QUICK = 200  # garments of each split that are read with ``quick``
 BATCH = 16  # garments in one read, in parallel from a server

@@ -1,8 +1,11 @@
 """Faults of the files of a data set: damage, members without index, shards without manifest, garments without split."""
 
-from collections.abc import Iterator, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 from gcd_dataset.check import checks
 from gcd_dataset.check.checks import Check
@@ -13,14 +16,13 @@ from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.bodies import FOLDER
 from gcd_dataset.release.garment_list import PublishedGarments
 from gcd_dataset.release.published_names import DEFAULT_BODY
-from gcd_dataset.shards.access import REMEDY, reading
-from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.access import REMEDY, Place, reading
 from gcd_dataset.shards.index import index_name
 from gcd_dataset.shards.layout import BODIES, GARMENTS, Layout, key_of
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, SplitRecord
-from gcd_dataset.shards.notes import hashed, shards_named
-from gcd_dataset.shards.place import Place
+from gcd_dataset.shards.notes import REJECTS, Note, hashed, note_name, note_of, rejects_bytes, shards_named
 from gcd_dataset.shards.reader import ShardReader
+from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.shards.tar import BLOCK, tar_entries
 
 FileFault = tuple[Check, str, str]
@@ -76,7 +78,7 @@ def set_faults(folder: Path, *, every_byte: bool = False) -> Iterator[str]:
     """The faults of the data set in a folder, one line each.
 
     Checks the headers, length and index of every shard, and with ``every_byte`` every byte, by the hashes of shard and
-    members; whether the data set is finished; and whether two splits share designs.
+    members, and every note; whether the data set is finished; and whether two splits share designs.
     """
     store = FolderStore(folder)
     manifest = store.manifest()
@@ -99,6 +101,8 @@ def set_faults(folder: Path, *, every_byte: bool = False) -> Iterator[str]:
             if MANIFEST in names and index_name(split) not in names:
                 yield f"{folder / index_name(split)}: no such file: run gcd index"
             yield from _shard_faults(reader, folder, every_byte=every_byte)
+    if every_byte and MANIFEST in names:
+        yield from _note_faults(Place(folder), manifest)
     garments = {
         split: r for split, r in readers.items() if isinstance(r, ShardReader) and r.layout.kind == GARMENTS.kind
     }
@@ -155,6 +159,33 @@ def _tar_faults(path: Path, keys: list[str], starts: list[int], size: int) -> It
         yield f"{path}: {found} bytes, but {MANIFEST} lists {size}: {REMEDY}"
     elif list(groups.items()) != list(zip(keys, starts, strict=True)):
         yield f"{path}: its samples differ from the index: run gcd index"
+
+
+def _note_faults(place: Place, manifest: Manifest) -> Iterator[str]:
+    """Notes that differ from their shards, and rejects that differ from the notes; damaged shards are left out."""
+    names, lines = place.names(), list[Mapping[str, Any]]()
+    is_whole = REJECTS in names
+    for split, record in manifest.splits.items():
+        for shard in record.shards:
+            name = note_name(split, shard.number)
+            tar, views = (place.folder / shard.name(split, views=views) for views in (False, True))
+            if name not in names:
+                is_whole = False
+                continue
+            try:
+                note = Note.from_bytes(content := next(place.read([name])), place.location(name))
+            except ShardError as error:
+                is_whole = False
+                yield str(error)
+                continue
+            lines += note.rejects
+            with contextlib.suppress(ShardError):
+                made = note_of(tar, views if shard.views_size else None, split, shard.number, note.plan)
+                if note.plan != record.plan or replace(made, skipped=note.skipped).to_bytes() != content:
+                    is_whole = False
+                    yield f"{place.location(name)}: differs from its shard: delete it, then run gcd index"
+    if is_whole and next(place.read([REJECTS])) != rejects_bytes(lines):
+        yield f"{place.location(REJECTS)}: differs from the notes: run gcd index"
 
 
 def layout_of(record: SplitRecord) -> Layout:

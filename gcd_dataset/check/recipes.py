@@ -12,9 +12,9 @@ from gcd_dataset.generator.recipe import recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe, recipe_names
 from gcd_dataset.generator.recipes.hashing import made_patterns
 from gcd_dataset.patternhash import PatternHash
-from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, RecipeRecord
 from gcd_dataset.shards.reader import ShardReader, stored_patterns
+from gcd_dataset.shards.store import FolderStore
 
 SAMPLED = 32  # designs generated again to check a recipe that has no hash of all its patterns
 

@@ -10,7 +10,6 @@ from gcd_dataset.check.files import layout_of
 from gcd_dataset.check.sets import kinds_of
 from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.codec import decode_field, opened_picture
-from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
 from gcd_dataset.shards.layout import (
     GARMENTS,
@@ -23,7 +22,7 @@ from gcd_dataset.shards.manifest import SplitRecord
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import REJECTS
 from gcd_dataset.shards.reader import ShardReader
-from gcd_dataset.shards.store import Store
+from gcd_dataset.shards.store import FolderStore, Store
 
 FIRST_CAPTIONS = 3
 DRAPE = "drape"  # the stage that drapes

@@ -197,7 +197,7 @@ def _index(options: argparse.Namespace) -> int:
 
 def summary_lines(out: str | Path, *, counts: bool = True) -> Iterator[str]:
     """Lines about the data set in a folder: its samples by split if there are several, and what it lacks."""
-    from gcd_dataset.shards.folder import FolderStore
+    from gcd_dataset.shards.store import FolderStore
 
     if "://" in str(out):
         return
@@ -219,7 +219,7 @@ def _download(options: argparse.Namespace) -> int:
     from gcd_dataset.hub.download import download
     from gcd_dataset.hub.remote import Remote
     from gcd_dataset.hub.source import Folder, Repo, parse_source
-    from gcd_dataset.shards.folder import downloaded_from
+    from gcd_dataset.shards.store import downloaded_from
 
     source = parse_source(options.repo, options.revision)
     if isinstance(source, Folder):

@@ -200,7 +200,7 @@ def _serve(options: argparse.Namespace) -> int:
 
 
 def _album(options: argparse.Namespace) -> "Album":
-    from gcd_dataset.shards.folder import is_set
+    from gcd_dataset.shards.store import is_set
     from gcd_dataset.viewer.garments import PublishedAlbum, ShardAlbum, spec_album
 
     folder = Path(options.what)
@@ -219,7 +219,7 @@ def _album(options: argparse.Namespace) -> "Album":
 
 def _truth(options: argparse.Namespace) -> "Path | ShardReader":
     """The source of true patterns: a specification file, a folder of them, or a data set."""
-    from gcd_dataset.shards.folder import is_set
+    from gcd_dataset.shards.store import is_set
 
     path = Path(options.truth)
     if names_a_file(options.truth) or (path.is_dir() and not is_set(path)):
@@ -231,7 +231,7 @@ def _published(options: argparse.Namespace) -> "PublishedGarmentCodeData | None"
     """GarmentCodeData as published in the folder ``what``; ``None`` for anything else."""
     from gcd_dataset.filekinds import is_published
     from gcd_dataset.shards.access import reading
-    from gcd_dataset.shards.folder import is_set
+    from gcd_dataset.shards.store import is_set
 
     folder = Path(options.what)
     with reading(folder):

@@ -36,7 +36,7 @@ from gcd_dataset.release.write import (
     yaml_bytes,
 )
 from gcd_dataset.shards import ShardReader
-from gcd_dataset.shards.folder import splits_in
+from gcd_dataset.shards.store import splits_in
 
 logger = logging.getLogger("gcd_dataset")
 

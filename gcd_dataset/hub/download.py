@@ -21,11 +21,11 @@ from gcd_dataset.hub.fetch import fetch
 from gcd_dataset.hub.remote import Remote, RemoteStore, run_all
 from gcd_dataset.hub.source import MAIN, Repo, Url
 from gcd_dataset.shards.access import locked, reading, writing
-from gcd_dataset.shards.folder import DOWNLOAD_FILE, downloaded_from
 from gcd_dataset.shards.index import SplitIndex, index_name
 from gcd_dataset.shards.layout import is_picture
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord, read_manifest
 from gcd_dataset.shards.notes import hashed
+from gcd_dataset.shards.store import DOWNLOAD_FILE, downloaded_from
 
 Tars = Mapping[str, tuple[int, str]]  # name of a tar to its size [bytes] and SHA-256
 

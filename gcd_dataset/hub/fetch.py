@@ -29,6 +29,7 @@ from gcd_dataset.shards.notes import hashed
 
 Headers = Mapping[str, str]
 Take = Callable[[bytes], None]  # called with the bytes of a file in order
+Count = Callable[..., None]  # called as ``Take``, with the number of other bytes that were received with them
 
 PATIENCE = 300.0  # s of attempts without a received byte
 UNRESOLVED = 3.0  # s of attempts at a server whose name is unknown, and that this process has not reached before
@@ -63,7 +64,8 @@ class Passing(Exception):  # noqa: N818 -- a state of the server
 class Span(NamedTuple):
     """Bytes of a file, up to ``end`` or its last one.
 
-    ``limit``: most bytes of the whole file; ``None``: the server may send bytes before ``start``, which are skipped.
+    ``limit``: most bytes of the whole file; ``None``, or no ``end``: the server may send bytes before ``start``, which
+    are skipped.
     """
 
     address: str
@@ -141,16 +143,18 @@ class Files:
         """Pass the bytes to ``take``, and continue after a lost connection; the headers of the last answer."""
         offset, attempts, progress = span.start, 0, time.monotonic()
 
-        def counted(piece: bytes) -> None:
-            nonlocal offset
+        def counted(piece: bytes, skipped: int = 0) -> None:
+            nonlocal offset, received, since
             take(piece)
-            offset += len(piece)
+            offset, received = offset + len(piece), received + len(piece) + skipped
             self.require_wanted(span.address)
-            if offset - before < LITTLE and time.monotonic() - begun > self.patience + ANSWER:
-                raise Passing(f"sent {offset - before} bytes in {time.monotonic() - begun:.0f} s")
+            if received >= LITTLE:
+                received, since = 0, time.monotonic()
+            elif time.monotonic() - since > self.patience + ANSWER:
+                raise Passing(f"sent {received} bytes in {time.monotonic() - since:.0f} s")
 
         while True:
-            before, begun = offset, time.monotonic()
+            before, received, since = offset, 0, time.monotonic()
             try:
                 rest = span._replace(start=offset)
                 is_web = self.url.startswith(WEB)
@@ -197,7 +201,7 @@ def _is_unresolved(error: BaseException) -> bool:
 # ---------------------------------------------------------------------------------------------------------- web servers
 
 
-def _from_web(span: Span, take: Take, headers: Headers) -> Headers:
+def _from_web(span: Span, take: Count, headers: Headers) -> Headers:
     """One attempt at a web server. Raises ``Passing`` for an error that may pass."""
     import aiohttp
     from fsspec.asyn import sync
@@ -219,7 +223,7 @@ def _from_web(span: Span, take: Take, headers: Headers) -> Headers:
     return answered
 
 
-async def _stream(web: Any, span: Span, take: Take, headers: Headers) -> Headers:
+async def _stream(web: Any, span: Span, take: Count, headers: Headers) -> Headers:
     """Pass the bytes of one answer to ``take``; its headers."""
     (address, start, end, limit), session = span, await web.set_session()
     is_part = start > 0 or end is not None
@@ -242,8 +246,7 @@ async def _stream(web: Any, span: Span, take: Take, headers: Headers) -> Headers
             start += len(part)
             if start > most:
                 raise span.too_long(f"more than {limit}")
-            if part:
-                take(part)
+            take(part, len(piece) - len(part))
             if left is not None and (left := left - len(part)) == 0:
                 break
         if left:
@@ -265,7 +268,7 @@ def _require(span: Span, response: Any) -> None:
         raise RemoteError(f"{address}: shorter than in its manifest: tell its publisher, or pin another revision")
     if status not in (200, 206) or (status == 206 and not sent.startswith(f"bytes {span.start}-")):
         raise RemoteError(f"{address}: answered with status {status} {shown(sent[:50])}: check the address")
-    if status == 200 and span.start and span.limit is not None:
+    if status == 200 and span.start and span.limit is not None and span.end is not None:
         raise RemoteError(f"{address}: this server sends whole files only, not single garments: use gcd download")
 
 

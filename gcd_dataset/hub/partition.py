@@ -10,9 +10,8 @@ from jaxtyping import Bool, Int
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.codec import decode_fields
-from gcd_dataset.shards.layout import FAILED, Bytes, fields_of
+from gcd_dataset.shards.layout import FAILED, META, Bytes, fields_of
 from gcd_dataset.shards.meta import read_meta
-from gcd_dataset.shards.notes import META
 from gcd_dataset.shards.reader import ShardReader
 
 SHARES: Mapping[str, float] = {"train": 0.90, "validation": 0.05, "test": 0.05}

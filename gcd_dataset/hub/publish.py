@@ -20,14 +20,13 @@ from gcd_dataset.hub.fetch import first_line
 from gcd_dataset.hub.partition import DESIGN, SHARES, leaks, partition
 from gcd_dataset.hub.remote import hub_endpoint
 from gcd_dataset.hub.source import Repo, parse_source
-from gcd_dataset.shards.access import REMEDY, locked, reading
-from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.access import REMEDY, Place, locked, reading
 from gcd_dataset.shards.index import index_name
-from gcd_dataset.shards.layout import FAILED
+from gcd_dataset.shards.layout import FAILED, META
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, Plan, ShardRecord
-from gcd_dataset.shards.notes import META, gather, hashed, note_name, note_of
-from gcd_dataset.shards.place import Place
+from gcd_dataset.shards.notes import gather, hashed, note_name, note_of
 from gcd_dataset.shards.reader import ShardReader
+from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.shards.tar import END
 from gcd_dataset.shards.writer import shard_size_of
 

@@ -33,10 +33,9 @@ from gcd_dataset.files import make_folder, safe_name, user_path, write_whole
 from gcd_dataset.hub.fetch import WEB, Files, fetch
 from gcd_dataset.hub.source import COMMIT, Folder, Repo, Url, parse_source
 from gcd_dataset.shards import cache
-from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import SplitIndex, index_name
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, parse_manifest
-from gcd_dataset.shards.store import Store
+from gcd_dataset.shards.store import FolderStore, Store
 
 T = TypeVar("T")
 
@@ -130,7 +129,7 @@ class RemoteStore(Store):
     remedy = "try again later, or tell its publisher"
 
     def __init__(self, source: Repo | Url, remote: Remote) -> None:
-        self._asked, self._remote = source, remote
+        self._asked, self._remote, self.cache = source, remote, remote.folder / "shards"
         self._manifest: Manifest | None = None
         address = remote.address(source)
         digest = hashlib.sha256(address.encode()).hexdigest()[:16]
@@ -144,10 +143,6 @@ class RemoteStore(Store):
 
     def location(self, name: str = "") -> str:
         return f"{self.source}/{name}" if name else str(self.source)
-
-    @property
-    def cache(self) -> Path:
-        return self._remote.folder / "shards"
 
     def manifest(self) -> Manifest:
         if self._manifest is None:

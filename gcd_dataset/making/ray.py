@@ -26,7 +26,7 @@ from gcd_dataset.generator.maker import AHEAD
 from gcd_dataset.generator.recipe import MakeConfig, versions
 from gcd_dataset.making.run import Made, Maker, MakeShards, make_shards
 from gcd_dataset.making.tasks import Task
-from gcd_dataset.shards.place import Place
+from gcd_dataset.shards.access import Place
 
 RETRIES = 3  # of a shard, after losses of its worker, node or draping process
 IN_FLIGHT = 1000  # tasks that Ray knows of: an autoscaler sees the demand

@@ -19,14 +19,13 @@ from gcd_dataset.generator.recipes import find_recipe, recipe_names
 from gcd_dataset.making.log import run_log
 from gcd_dataset.making.progress import Pace, Progress, ProgressCallback, ignore_progress
 from gcd_dataset.making.tasks import Job, Task, Work
-from gcd_dataset.shards.access import locked, reading, writing
-from gcd_dataset.shards.layout import FAILED, Bytes
+from gcd_dataset.shards.access import Place, locked, reading, writing
+from gcd_dataset.shards.layout import FAILED, META, Bytes
 from gcd_dataset.shards.manifest import MANIFEST, Plan, parse_manifest, shard_name
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import (
     DRAFT,
     EARLIER,
-    META,
     OLD,
     Gathered,
     Note,
@@ -37,7 +36,6 @@ from gcd_dataset.shards.notes import (
     shards_named,
     stored_samples,
 )
-from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import Draft, draft_name, remove_drafts
 
 OTHER_PATTERNS = (
@@ -199,6 +197,8 @@ def _restore_notes(work: Work) -> None:
             for sample in stored_samples(place.fetch(tar)):
                 plan_of_sample(read_meta(sample.members[META]), task.plan).require_same(task.plan, place.location(tar))
             place.write(note_name(split, number), note.to_bytes())
+    if lost:
+        place.remove_fetched()
 
 
 # --------------------------------------------------------------------------------------------------------------- making
@@ -342,6 +342,7 @@ def index(place: Place) -> Gathered:
         if recipe is not None and known and recipe.patterns != known:
             logger.warning(OTHER_PATTERNS, place.location(), recipe.name)
     gathered.write(place)
+    place.remove_fetched()
     return gathered
 
 

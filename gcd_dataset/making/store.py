@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import logging
 import re
+import shutil
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -14,11 +15,10 @@ from urllib.parse import unquote
 
 from gcd_dataset.errors import ConfigError, OutputError, ShardError, shown
 from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.shards.access import read_file, writing
+from gcd_dataset.shards.access import Place, read_file, writing
 from gcd_dataset.shards.cache import default_cache
 from gcd_dataset.shards.manifest import MANIFEST
 from gcd_dataset.shards.notes import shards_named
-from gcd_dataset.shards.place import Place
 
 LOCAL = ("file", "local")  # protocols of fsspec for folders
 READ_ONLY = ("http", "https", "hf")
@@ -91,6 +91,9 @@ class UrlPlace(Place):
         path = make_folder(self.work / "fetched") / name.replace("/", "-")
         write_whole(path, next(self.read([name])))
         return path
+
+    def remove_fetched(self) -> None:
+        shutil.rmtree(self.work / "fetched", ignore_errors=True)
 
     def write(self, name: str, content: bytes) -> None:
         with self._asking(OutputError) as (fs, root):

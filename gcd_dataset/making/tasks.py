@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.manifest import Plan, shard_name
-from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import shard_size_of
 
 MOST = 10_000_000  # samples of a data set

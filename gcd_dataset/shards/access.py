@@ -1,15 +1,15 @@
-"""Access to a data set's files: locks, and OS errors as one-line messages with a remedy."""
+"""Access to the files of a data set: where it is written, locks, and OS errors as one-line messages with a remedy."""
 
 import contextlib
 import errno
 import fcntl
 import mmap
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from gcd_dataset.errors import OutputError, ShardError
-from gcd_dataset.files import open_regular
+from gcd_dataset.files import make_folder, open_regular, user_path, write_whole
 
 REMEDY = "copy it again, or delete it and run gcd generate again"
 """Remedy for a damaged shard: the next writer makes the missing samples again."""
@@ -20,22 +20,14 @@ REMEDIES: Mapping[tuple[type[OSError], ...], str] = {
 }
 
 
-class reading:  # noqa: N801 -- a context manager, named as functions are
-    """Context that turns ``OSError`` into ``ShardError`` with the file and a remedy."""
-
-    # A class, since it is entered for every garment: ``contextlib.contextmanager`` takes several times as long.
-    __slots__ = ("_path",)
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, OSError):
-            remedy = next((text for kinds, text in REMEDIES.items() if isinstance(error, kinds)), REMEDY)
-            raise ShardError(f"{self._path}: cannot be read ({error.strerror}): {remedy}") from error
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn ``OSError`` into ``ShardError`` with the file and a remedy."""
+    try:
+        yield
+    except OSError as error:
+        remedy = next((text for kinds, text in REMEDIES.items() if isinstance(error, kinds)), REMEDY)
+        raise ShardError(f"{path}: cannot be read ({error.strerror}): {remedy}") from error
 
 
 def read_file(path: Path, limit: int | None = None) -> bytes:
@@ -136,3 +128,76 @@ def unlock(file: int) -> None:
     """Release the lock of a descriptor, and close it."""
     fcntl.flock(file, fcntl.LOCK_UN)  # a child forked meanwhile has the file open too, and would keep the lock
     os.close(file)
+
+
+VIEWS = "views"
+
+
+class Place:
+    """The files of a data set by their names, ``train-00012.tar`` or ``views/train-00012.tar``: those in a folder.
+
+    ``gcd_dataset.making.store`` has another, in an object store.
+
+    A file appears whole under its name or not at all. Methods raise ``OutputError`` and ``ShardError``.
+    """
+
+    is_folder = True
+    work: Path
+    """Folder of the drafts on this machine: of a folder itself, where they are hidden files."""
+
+    def __init__(self, folder: Path | str) -> None:
+        self.folder = self.work = user_path(folder)
+
+    def location(self, name: str = "") -> str:
+        """The path or URL of a file, for messages."""
+        return str(self.folder / name)
+
+    def names(self) -> frozenset[str]:
+        """The names of all files."""
+        return frozenset(_listed(self.folder)) | {f"{VIEWS}/{name}" for name in _listed(self.folder / VIEWS)}
+
+    def exists(self, name: str) -> bool:
+        """Whether there is a file of this name."""
+        with reading(self.folder / name):
+            return (self.folder / name).exists()
+
+    def read(self, names: Iterable[str]) -> Iterator[bytes]:
+        """The contents of files, in order."""
+        return (read_file(self.folder / name) for name in names)
+
+    def fetch(self, name: str) -> Path:
+        """A file on this machine with the content of ``name``."""
+        return self.folder / name
+
+    def remove_fetched(self) -> None:
+        """Remove the copies that ``fetch`` has made; a folder makes none."""
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write or replace a small file."""
+        write_whole(self.folder / name, content)
+
+    def put(self, draft: Path, name: str) -> None:
+        """Move a finished draft, synchronised with the disk, to its name; an existing file is replaced."""
+        path = self.folder / name
+        if path.parent != self.folder:
+            make_folder(path.parent)
+        with writing(path):
+            draft.replace(path)
+            folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)  # writes its entries to the disk
+            finally:
+                os.close(folder)
+
+    def remove(self, name: str) -> None:
+        """Remove a file if it exists."""
+        with writing(self.folder / name):
+            (self.folder / name).unlink(missing_ok=True)
+
+
+def _listed(folder: Path) -> list[str]:
+    with reading(folder):
+        try:
+            return os.listdir(folder)  # noqa: PTH208 -- objects of thousands of paths take three times as long
+        except FileNotFoundError:
+            return []

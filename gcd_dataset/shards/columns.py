@@ -13,8 +13,7 @@ import hashlib
 import mmap
 import struct
 from bisect import bisect_right
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,11 +25,9 @@ from gcd_dataset.records import MEASURES
 from gcd_dataset.shards.access import mapped, reading
 from gcd_dataset.shards.cache import make_room, touch
 from gcd_dataset.shards.codec import DECODERS, MISSING_MEASURE, SECTIONS, decode_fields, read_measures
-from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import Bytes, is_picture, key_of, member_of, members_of
-from gcd_dataset.shards.manifest import ShardRecord
+from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.sections import TYPES
-from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import samples_in
 
 HEAD = struct.Struct("<8s2sHIQQ")  # magic, type, columns of a row, 0, samples, rows
@@ -53,118 +50,107 @@ class Column(NamedTuple):
 class Columns:
     """The columns of some fields of a split. May be pickled, forked, and read from several threads.
 
-    ``fields``: those of ``views``; they are made together. ``limit``: most bytes of the cache, ``None`` for no limit;
-    the shards used longest ago are removed first. ``single``: floating numbers of 8 bytes are kept as float32.
+    Positions are those of ``reader``. ``fields``: those of ``views``; they are made together. ``limit``: most bytes of
+    the cache, ``None`` for no limit; the shards used longest ago are removed first. ``single``: floating numbers of 8
+    bytes are kept as float32.
     """
 
     def __init__(
-        self,
-        store: Store,
-        split: str,
-        index: SplitIndex,
-        fields: Iterable[str],
-        *,
-        limit: int | None = None,
-        single: bool = False,
+        self, reader: ShardReader, fields: Iterable[str], *, limit: int | None = None, single: bool = False
     ) -> None:
-        self._store, self._split, self._index, self._fields = store, split, index, tuple(fields)
+        self._reader, self._store, self._index = reader, reader.store, reader.index
+        self._files = {field: _file_name(field, single) for field in fields}
+        self._of_tar = {views: [f for f in self._files if is_picture(member_of(f)) == views] for views in (False, True)}
+        """Whether of the pictures, and the fields that are made from this tar of a shard."""
         self._limit, self._single = limit, single
-        self._starts: list[int] = index.first.tolist()
+        self._starts: list[int] = self._index.first.tolist()
         self._fit: bool | None = None
-        self._close()
-
-    def _close(self) -> None:
-        """Forget the open columns."""
-        self._opened_shards: set[int] = set()
-        self._open = {field: _Opened(partial(self._column, field)) for field in self._fields}
+        self._open: dict[int, list[Column]] = {}
+        """Shard to its open columns, in the order of the fields."""
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_open", "_opened_shards")}
+        return {**self.__dict__, "_open": {}}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._close()
-
-    def views(self, rows: Collection[int]) -> dict[str, list[np.ndarray]]:
+    def views(self, positions: Sequence[int] | np.ndarray) -> dict[str, list[np.ndarray]]:
         """Field to the stored rows of each sample: views of mapped memory, bytes for fields that are no arrays.
 
-        ``rows``: rows of the index. Makes missing columns. Raises ``ShardError``, ``OutputError``.
+        Makes missing columns. Raises ``ShardError``, ``OutputError``.
         """
-        begins = self._starts
-        places = [(shard := bisect_right(begins, row) - 1, row - begins[shard]) for row in rows]
-        shards = {shard for shard, _ in places}
-        if not shards <= self._opened_shards:
-            self.fetch(rows)
-            self._opened_shards |= shards
+        places, opened = self._places(positions), self._open
+        if not opened.keys() >= {shard for shard, _ in places}:
+            self.fetch(positions)
+        samples = [(opened.get(shard) or self._opened(shard), number) for shard, number in places]
         views: dict[str, list[np.ndarray]] = {}
-        for field, opened in self._open.items():
+        for column, field in enumerate(self._files):
             views[field] = values = []
-            for shard, number in places:
-                stored, starts = opened[shard]
+            for columns, number in samples:
+                stored, starts = columns[column]
                 values.append(stored[starts[number] : starts[number + 1]])
         return views
 
-    def fetch(self, rows: Iterable[int]) -> None:
+    def fetch(self, positions: Sequence[int] | np.ndarray) -> None:
         """Bring the tars of some samples' shards onto this machine, at once, unless their columns are made."""
-        unopened = {self._shard_of(row) for row in rows} - self._opened_shards
-        records = [self._index.record.shards[shard] for shard in unopened]
-        for views in (False, True):
-            files = [self._file(field) for field in self._fields if is_picture(member_of(field)) == views]
-            missing = [one for one in records if not all((self._folder(one) / name).exists() for name in files)]
+        unopened = {shard for shard, _ in self._places(positions)} - self._open.keys()
+        for views, fields in self._of_tar.items():
+            missing = [self._index.record.shards[shard] for shard in unopened if not self._are_made(shard, fields)]
             if missing:
-                self._store.ensure(self._split, missing, views=views)
+                self._store.ensure(self._reader.split, missing, views=views)
 
-    def has(self, row: int) -> bool:
+    def has(self, position: int) -> bool:
         """Whether the columns of a sample are made."""
-        shard = self._shard_of(row)
-        folder = self._folder(self._index.record.shards[shard])
-        return all(shard in self._open[field] or (folder / self._file(field)).exists() for field in self._fields)
+        [(shard, _)] = self._places([position])
+        return shard in self._open or self._are_made(shard, self._files)
 
     def fit(self) -> bool:
         """Whether the columns of all shards fit into the cache, judged by the first shard that has samples."""
         if self._fit is None:
             counts = np.diff(self._starts)
             shard = int(np.argmax(counts > 0))
-            columns = [self._open[field][shard] for field in self._fields] if self._limit is not None else []
+            columns = (self._open.get(shard) or self._opened(shard)) if self._limit is not None else []
             size = sum(column.rows.nbytes + 8 * len(column.starts) for column in columns)
             self._fit = self._limit is None or size / max(counts[shard], 1) * len(self._index) <= self._limit
         return self._fit
 
-    def _file(self, field: str) -> str:
-        """The file name of a field's column."""
-        name = field if field in SECTIONS or field == MEASURES_FIELD else member_of(field)
-        return f"{name}.f4" if self._single and field in DOUBLE else name
+    def _places(self, positions: Sequence[int] | np.ndarray) -> list[tuple[int, int]]:
+        """The shard of each sample, and its number there."""
+        begins, rows = self._starts, self._reader.rows(positions).tolist()
+        return [(shard := bisect_right(begins, row) - 1, row - begins[shard]) for row in rows]
 
-    def _shard_of(self, row: int) -> int:
-        return bisect_right(self._starts, row) - 1
+    def _are_made(self, shard: int, fields: Iterable[str]) -> bool:
+        folder = self._folder(shard)
+        return all((folder / self._files[field]).exists() for field in fields)
 
-    def _folder(self, shard: ShardRecord) -> Path:
-        return self._store.cache / shard.sha256
+    def _folder(self, shard: int) -> Path:
+        return self._store.cache / self._index.record.shards[shard].sha256
 
-    def _column(self, field: str, number: int) -> Column:
-        """The column of a field in a shard, made with those of the other fields that are missing too."""
-        folder = self._folder(self._index.record.shards[number])
-        path = folder / self._file(field)
-        try:
-            column = _open_column(path)
-        except (OSError, ValueError):
-            missing = [name for name in self._fields if name == field or not (folder / self._file(name)).exists()]
-            self._make(number, missing)
-            with reading(path):
-                column = _open_column(path)
+    def _opened(self, shard: int) -> list[Column]:
+        """The columns of a shard, opened; missing and broken ones are made."""
+        folder, columns = self._folder(shard), list[Column]()
+        for field, name in self._files.items():
+            try:
+                columns.append(_open_column(folder / name))
+            except (OSError, ValueError):
+                self._make(
+                    shard, [each for each, file in self._files.items() if each == field or not (folder / file).exists()]
+                )
+                with reading(folder / name):
+                    columns.append(_open_column(folder / name))
         touch(folder)
-        return column
+        if len(self._open) >= MOST_OPEN:
+            self._open.pop(next(iter(list(self._open))), None)
+        self._open[shard] = columns
+        return columns
 
     def _make(self, number: int, fields: Sequence[str]) -> None:
         """Make columns of a shard by one pass over its tar, and one over its pictures."""
         shard = self._index.record.shards[number]
         numbers = self._index.number[self._starts[number] : self._starts[number + 1]].tolist()
-        folder = make_folder(self._folder(shard))
-        for views in (False, True):
-            chosen = [field for field in fields if is_picture(member_of(field)) == views]
+        folder = make_folder(self._folder(number))
+        for views, of_tar in self._of_tar.items():
+            chosen = [field for field in of_tar if field in fields]
             if not chosen:
                 continue
-            path = self._store.path(self._split, shard, views=views)
+            path = self._store.path(self._reader.split, shard, views=views)
             content = mapped(path)
             if hashlib.sha256(content).hexdigest() != (shard.views_sha256 if views else shard.sha256):
                 raise ShardError(f"{path}: bytes differ from the written ones: {self._store.remedy}")
@@ -178,22 +164,13 @@ class Columns:
             size = sum(rows.nbytes for column in columns.values() for rows in column)
             make_room(self._store.cache, size, self._limit)
             for field, column in columns.items():
-                _write_column(folder / self._file(field), column)
+                _write_column(folder / self._files[field], column)
 
 
-class _Opened(dict[int, Column]):
-    """The open columns of a field, by the number of their shard; opens missing ones."""
-
-    def __init__(self, open_column: Callable[[int], Column]) -> None:
-        super().__init__()
-        self._open_column = open_column
-
-    def __missing__(self, shard: int) -> Column:
-        column = self._open_column(shard)
-        if len(self) >= MOST_OPEN:
-            self.pop(next(iter(list(self))), None)
-        self[shard] = column
-        return column
+def _file_name(field: str, single: bool) -> str:
+    """The file name of a field's column."""
+    name = field if field in SECTIONS or field == MEASURES_FIELD else member_of(field)
+    return f"{name}.f4" if single and field in DOUBLE else name
 
 
 def value_of(field: str, rows: np.ndarray) -> Any:

@@ -36,6 +36,7 @@ MEMBERS: tuple[str, ...] = (
     "front.jpg", "back.jpg",
 )  # fmt: skip
 """The members of every sample in file order, small members first."""
+META = MEMBERS[0]
 
 TRAIN, FAILED = "train", "failed"
 """The default split, and the split of failed drapes."""

@@ -59,7 +59,7 @@ from typing import Any
 from gcd_dataset.errors import ShardError
 from gcd_dataset.jsonfile import found, loads
 from gcd_dataset.records import Rejected
-from gcd_dataset.shards.layout import LARGEST_JSON, SCHEMA, Bytes
+from gcd_dataset.shards.layout import LARGEST_JSON, META, SCHEMA, Bytes, key_of
 
 
 def _no_constant(text: str) -> float:
@@ -179,6 +179,22 @@ def read_rejects(data: Bytes) -> list[dict[str, Any]]:
     if not _has_form(entries, GARMENT["rejects"]):
         raise ShardError(f"rejects is {found(entries)}")
     return [entry for entry in entries if entry["rule"]]
+
+
+def checked_meta(members: Mapping[str, Bytes], number: int) -> dict[str, Any]:
+    """The ``meta`` of sample ``number``. Raises ``ShardError`` unless these of its members match its checksums."""
+    try:
+        meta = read_meta(members.get(META, b""))
+        if not isinstance(meta.get("crc32"), Mapping):
+            raise ShardError(f"crc32 is {found(meta.get('crc32'))}, expected an object")
+        if meta["index"] != number:
+            raise ShardError(f"is of {key_of(meta['index'])}")
+    except ShardError as error:
+        raise ShardError(f"member {META}: {error}") from error
+    for member, data in members.items():
+        if member != META and zlib.crc32(data) != meta["crc32"].get(member):
+            raise ShardError(f"member {member}: bytes differ from the written ones")
+    return meta
 
 
 def _require_seal(data: Bytes) -> None:

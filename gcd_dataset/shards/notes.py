@@ -18,7 +18,6 @@ plan and the samples: a lost note is made again from the tar.
 
 import hashlib
 import re
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -32,10 +31,10 @@ from gcd_dataset.errors import ConfigError, ShardError, shown
 from gcd_dataset.files import open_regular
 from gcd_dataset.jsonfile import found
 from gcd_dataset.patternhash import PatternHash, hash_pattern
-from gcd_dataset.shards.access import REMEDY, mapped, read_file, reading
+from gcd_dataset.shards.access import REMEDY, Place, mapped, read_file, reading
 from gcd_dataset.shards.codec import stored_pattern
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
-from gcd_dataset.shards.layout import BODIES, GARMENTS, LARGEST_MANIFEST, MEMBERS, Bytes, is_picture, key_of
+from gcd_dataset.shards.layout import BODIES, GARMENTS, LARGEST_MANIFEST, META, Bytes, is_picture, key_of
 from gcd_dataset.shards.manifest import (
     MANIFEST,
     MOST,
@@ -50,8 +49,7 @@ from gcd_dataset.shards.manifest import (
     ranked,
     shard_name,
 )
-from gcd_dataset.shards.meta import decode_json, is_count, json_bytes, read_meta, read_rejects
-from gcd_dataset.shards.place import Place
+from gcd_dataset.shards.meta import checked_meta, decode_json, is_count, json_bytes, read_meta, read_rejects
 from gcd_dataset.shards.tar import BLOCK, END, padded, samples_in
 
 REJECTS = "rejects.jsonl"
@@ -63,7 +61,6 @@ KEY = re.compile(r"gcd_\d{9,18}")
 DRAFT = re.compile(r"\..+-\d{5,}-of-(\d+)\.draft")
 NOTHING = "no shards: give a folder made by gcd generate"
 BEGUN = "no shard of %s samples is finished yet: give the command that makes this data set again, it goes on"
-META = MEMBERS[0]
 FOREIGN = 'tars of another program: read them with webdataset, or with load_dataset("webdataset", …) of datasets'
 
 
@@ -127,22 +124,6 @@ def _samples_of(path: Path, damaged: bool) -> Iterator[StoredSample]:
     except ShardError as error:
         if not damaged:
             raise ShardError(f"{path}: {error}: {REMEDY}") from error
-
-
-def checked_meta(members: Mapping[str, Bytes], number: int) -> dict[str, Any]:
-    """The ``meta`` of sample ``number``. Raises ``ShardError`` unless these of its members match its checksums."""
-    try:
-        meta = read_meta(members.get(META, b""))
-        if not isinstance(meta.get("crc32"), Mapping):
-            raise ShardError(f"crc32 is {found(meta.get('crc32'))}, expected an object")
-        if meta["index"] != number:
-            raise ShardError(f"is of {key_of(meta['index'])}")
-    except ShardError as error:
-        raise ShardError(f"member {META}: {error}") from error
-    for member, data in members.items():
-        if member != META and zlib.crc32(data) != meta["crc32"].get(member):
-            raise ShardError(f"member {member}: bytes differ from the written ones")
-    return meta
 
 
 class Row(NamedTuple):
@@ -392,8 +373,12 @@ def gather(place: Place, published: Callable[[str, str], str] = lambda name, sha
         is_whole = patterns.count == sum(manifest.counts.values())
         text = (known if patterns.agrees(known) else patterns.text) if known and is_whole else ""
         manifest = replace(manifest, recipe=RecipeRecord(*named, text))
-    lines = _unique(line for note in notes for line in note.rejects)
-    return Gathered(manifest, indices, b"".join(json_bytes(line) + b"\n" for line in lines))
+    return Gathered(manifest, indices, rejects_bytes(line for note in notes for line in note.rejects))
+
+
+def rejects_bytes(lines: Iterable[Mapping[str, Any]]) -> bytes:
+    """The content of ``rejects.jsonl``."""
+    return b"".join(json_bytes(line) + b"\n" for line in _unique(lines))
 
 
 def _notes(place: Place, names: frozenset[str], shards: list[tuple[str, int]]) -> list[Note]:

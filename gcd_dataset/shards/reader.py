@@ -1,6 +1,8 @@
 """Reads samples of a split by position, and checks them when they are first read."""
 
+import contextlib
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -10,12 +12,11 @@ from jaxtyping import Int
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import PATTERN_FIELDS, decode_sample, stored_pattern
-from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
-from gcd_dataset.shards.layout import BODIES, GARMENTS, Bytes, Layout, fields_of, is_picture, key_of, members_of
+from gcd_dataset.shards.layout import BODIES, GARMENTS, META, Bytes, Layout, fields_of, is_picture, key_of, members_of
 from gcd_dataset.shards.manifest import ShardRecord
-from gcd_dataset.shards.notes import META, checked_meta
-from gcd_dataset.shards.store import Store
+from gcd_dataset.shards.meta import checked_meta
+from gcd_dataset.shards.store import FolderStore, Store
 from gcd_dataset.shards.tar import BLOCK, END, samples_in
 from gcd_dataset.tensors import PatternTensor
 
@@ -25,21 +26,15 @@ Verify = Literal["lazy", "full", "off"]
 Quality = Literal["clean", "paper"]
 
 
-class naming_sample:  # noqa: N801 -- a context manager, named as functions are
-    """Context that prefixes errors about a member with its shard and sample; ``name`` returns that prefix."""
-
-    # A class, since it is entered for every garment: ``contextlib.contextmanager`` takes several times as long.
-    __slots__ = ("_name",)
-
-    def __init__(self, name: Callable[[], str]) -> None:
-        self._name = name
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, ShardError) and str(error).startswith("member "):
-            raise ShardError(f"{self._name()}, {error}") from error
+@contextlib.contextmanager
+def naming_sample(name: Callable[[], str]) -> Iterator[None]:
+    """Prefix errors about a member with its shard and sample, which ``name`` returns."""
+    try:
+        yield
+    except ShardError as error:
+        if str(error).startswith("member "):
+            raise ShardError(f"{name()}, {error}") from error
+        raise
 
 
 class ShardReader:
@@ -99,7 +94,7 @@ class ShardReader:
         """The name of the sample at a position."""
         return key_of(self.number(position))
 
-    def naming(self, position: int) -> naming_sample:
+    def naming(self, position: int) -> AbstractContextManager[None]:
         """A context in which errors about a member also name shard and sample."""
         return naming_sample(lambda: self._named(int(self._row[position])))
 

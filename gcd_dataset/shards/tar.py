@@ -1,7 +1,7 @@
 """USTAR archives (POSIX.1-1988), reproducible: equal members give equal bytes."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import BinaryIO, NamedTuple
 
 from gcd_dataset.errors import ShardError, shown
@@ -14,7 +14,8 @@ CHUNK = 1 << 20  # bytes
 LONGEST_NAME = 100
 LARGEST = 8**11 - 1  # bytes: eleven octal digits
 MOST_MEMBERS = 2 * MOST_VIEWS + 32  # of a sample
-ENDLESS = 1 << 62  # a position behind any archive
+LARGEST_STREAMED = LARGEST_SAMPLE // 2  # bytes of a member: tarfile makes copies of it
+PIECE = 1 << 14  # bytes of a read for other readers, which ask for about as many
 CHECKSUM = slice(148, 156)
 KIND, PLAIN = 156, ord("0")
 
@@ -89,9 +90,8 @@ def samples_in(content: memoryview) -> Iterator[tuple[str, dict[str, memoryview]
         yield key, members
 
 
-def _members(header_at: Callable[[int], bytes], end: int) -> Iterator[TarMember]:
-    """The members of an archive of ``end`` bytes, up to the first block of zeros. Raises ``ShardError``."""
-    position = 0
+def _members(header_at: Callable[[int], bytes], end: int, position: int = 0) -> Iterator[TarMember]:
+    """The members of an archive up to byte ``end``, or the first block of zeros. Raises ``ShardError``."""
     while position < end and (header := header_at(position)) != ZEROS:
         name, size = _parse(header, position)
         position += BLOCK
@@ -102,40 +102,46 @@ def _members(header_at: Callable[[int], bytes], end: int) -> Iterator[TarMember]
 
 
 class CheckedTar:
-    """An archive of unknown origin, for other readers: raises ``ShardError`` before they see a harmful header.
+    """Samples of an archive of unknown origin, as an archive for other readers: checks headers before they see them.
 
-    Allowed are plain files with USTAR headers, up to ``LARGEST_SAMPLE`` bytes each and ``MOST_MEMBERS`` a sample: no
-    sparse files, no extended headers, no links, no compression. ``file`` is at the first byte of a header.
+    ``samples``: key, first and last byte of each, in this order; nothing else in ``file`` is read. Allowed are plain
+    files with USTAR headers under the key of their sample, up to ``LARGEST_STREAMED`` bytes each and ``MOST_MEMBERS`` a
+    sample: no sparse files, no extended headers, no links, no compression. Reading raises ``ShardError`` for any other.
     """
 
-    def __init__(self, file: BinaryIO) -> None:
-        self._file, self._position, self._next, self._rest = file, 0, 0, b""
-        self._key, self._names = "", set[str]()  # of the sample that is being read
+    def __init__(self, file: BinaryIO, samples: Iterable[tuple[str, int, int]]) -> None:
+        self._pieces, self._rest = self._checked(file, samples), b""
 
     def read(self, size: int) -> bytes:
-        """The next ``size`` bytes, fewer at the end of the file."""
-        data = self._file.read(size)
-        content, begin = self._rest + data if self._rest else data, self._position - len(self._rest)
-        self._position += len(data)
-        while self._next + BLOCK <= self._position:
-            header = content[self._next - begin : self._next - begin + BLOCK]
-            self._next = ENDLESS if header == ZEROS else self._next + self._checked(header)
-        self._rest = content[self._next - begin :] if self._next < self._position else b""
+        """The next ``size`` bytes, fewer at the end of the archive."""
+        while len(self._rest) < size and (piece := next(self._pieces, b"")):
+            self._rest += piece
+        data, self._rest = self._rest[:size], self._rest[size:]
         return data
 
-    def _checked(self, header: bytes) -> int:
-        """The size of a member and its header, in whole blocks."""
-        name, size = _parse(header, self._next)
-        if size > LARGEST_SAMPLE:
-            raise ShardError(f"member {shown(name)} has {size} bytes, over the limit of {LARGEST_SAMPLE}")
-        if (key := name.partition(".")[0]) != self._key:
-            self._key, self._names = key, set()
-        if name in self._names:
-            raise ShardError(f"member {shown(name)} occurs twice, again at byte {self._next}")
-        self._names.add(name)
-        if len(self._names) > MOST_MEMBERS:
-            raise ShardError(f"sample {shown(key)} has over {MOST_MEMBERS} members")
-        return BLOCK + padded(size)
+    @staticmethod
+    def _checked(file: BinaryIO, samples: Iterable[tuple[str, int, int]]) -> Iterator[bytes]:
+        def read(place: int, size: int = BLOCK) -> bytes:
+            file.seek(place)
+            return file.read(size)
+
+        for key, start, end in samples:
+            names = set[str]()
+            for name, offset, size in _members(read, end, start):
+                if name.partition(".")[0] != key:
+                    raise ShardError(f"member {shown(name)} at byte {offset}, in the place of {key}")
+                if size > LARGEST_STREAMED:
+                    raise ShardError(f"member {shown(name)} has {size} bytes, over the limit of {LARGEST_STREAMED}")
+                if name in names:
+                    raise ShardError(f"member {shown(name)} occurs twice, again at byte {offset}")
+                names.add(name)
+                if len(names) > MOST_MEMBERS:
+                    raise ShardError(f"sample {key} has over {MOST_MEMBERS} members")
+                for place in range(offset - BLOCK, stop := offset + padded(size), PIECE):
+                    if len(piece := read(place, min(PIECE, stop - place))) < min(PIECE, stop - place):
+                        raise ShardError(f"member {shown(name)} is cut off at byte {place + len(piece)}")
+                    yield piece
+        yield bytes(END)
 
 
 def _octal(digits: bytes) -> int:

@@ -17,17 +17,16 @@ from typing import Any, Self
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.files import make_folder, require_name
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.access import adding_to, lock_file, reading, unlock, writing
+from gcd_dataset.shards.access import Place, adding_to, lock_file, reading, unlock, writing
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.shards.layout import FAILED, GARMENTS, Bytes, Layout, is_picture, key_of, member_name
+from gcd_dataset.shards.layout import FAILED, GARMENTS, META, Bytes, Layout, is_picture, key_of, member_name
 from gcd_dataset.shards.manifest import MOST as MOST_SAMPLES
 from gcd_dataset.shards.manifest import Plan, shard_name
+from gcd_dataset.shards.meta import checked_meta
 from gcd_dataset.shards.notes import (
     DRAFT,
-    META,
     Note,
     Row,
-    checked_meta,
     gather,
     note_name,
     plan_of_sample,
@@ -36,7 +35,6 @@ from gcd_dataset.shards.notes import (
     shards_named,
     stored_samples,
 )
-from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.tar import END, tar_entry
 
 LARGE, SHARDS, MOST = 8192, 20, 32

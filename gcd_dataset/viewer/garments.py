@@ -26,8 +26,8 @@ from gcd_dataset.faults import require_valid
 from gcd_dataset.generator.drawing import draw_pattern, picture_of
 from gcd_dataset.records import EdgeRef, Pattern, Sample
 from gcd_dataset.shards import ShardReader
-from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import GRADES
+from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.spec import pattern_name, read_pattern
 from gcd_dataset.viewer.content import Content, body_of, content_of
 from gcd_dataset.viewer.page import page_of

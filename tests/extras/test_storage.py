@@ -27,8 +27,8 @@ from gcd_dataset.making.recipes import LOCK
 from gcd_dataset.records import Grade, NamedFabric, Sample
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.access import locked
-from gcd_dataset.shards.folder import DOWNLOAD_FILE, FolderStore
 from gcd_dataset.shards.sections import unpack
+from gcd_dataset.shards.store import DOWNLOAD_FILE, FolderStore
 from gcd_dataset.spec import spec_from_pattern
 from gcd_dataset.tensors import encode_pattern
 from tests.hub import conftest

@@ -48,7 +48,8 @@ from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.codec import decode_field, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
-from gcd_dataset.shards.layout import FIELDS
+from gcd_dataset.shards.layout import FIELDS, key_of
+from gcd_dataset.shards.notes import stored_samples
 from gcd_dataset.shards.tar import CheckedTar
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from gcd_dataset.viewer.design_desk import Desk, controls
@@ -212,10 +213,11 @@ def _sections(_: Path, member: str) -> Reader:
 
 def _checked_tar(folder: Path) -> Reader:
     """A tar of unknown origin, as webdataset sees it."""
-    content = (write_shards(folder) / SHARD).read_bytes()
+    path = write_shards(folder) / SHARD
+    content, spans = path.read_bytes(), [(key_of(one.number), one.start, one.end) for one in stored_samples(path)]
 
     def read(data: bytes) -> Any:
-        stream = CheckedTar(io.BytesIO(data))
+        stream = CheckedTar(io.BytesIO(data), spans)
         with contextlib.suppress(tarfile.TarError):
             return list(tar_file_iterator(stream))
 

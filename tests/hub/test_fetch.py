@@ -233,8 +233,8 @@ def test_an_endless_file_is_read_up_to_the_limit() -> None:
     assert peak < 10_000_000
 
 
-def slowly(line: socket.socket) -> None:
-    line.sendall(HEAD)
+def slowly(line: socket.socket, first: int = 0) -> None:
+    line.sendall(HEAD + bytes(first))
     while True:
         time.sleep(0.1)
         line.sendall(b"x")
@@ -245,6 +245,7 @@ def slowly(line: socket.socket) -> None:
     ("body", "told"),
     [
         (slowly, r"sent \d+ bytes in"),
+        (lambda line: slowly(line, fetching.LITTLE), r"sent \d+ bytes in"),
         (lambda line: line.sendall(b"HTTP/1.1 100 Continue\r\n\r\n"), "no answer for"),
         (lambda line: line.sendall(bytes(range(256)) * 100), "no answer .*: try again later"),
         (lambda line: line.sendall(b"HTTP/1.1 200 OK\r\n" + b"X: y\r\n" * 10**5), "no answer .*: try again later"),
@@ -256,6 +257,24 @@ def test_bytes_that_are_no_answer_are_given_up(body: Callable[[socket.socket], N
         Files(sends(body), patience=0.3).read("a", limit=1_000_000)
     assert time.monotonic() - begun < 5
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
+
+
+def test_a_small_file_is_continued_from_a_server_without_ranges(hub: Hub, files: Files) -> None:
+    hub.faults = [Fault("a.tar", cut=150_000), Fault("a.tar", whole=True)]
+    assert files.read("a.tar", limit=1_000_000)[0] == DATA
+    hub.faults = [Fault("a.tar", whole=True)]
+    with pytest.raises(RemoteError, match="sends whole files only"):
+        files.read("a.tar", 10, 20, limit=1_000_000)
+
+
+@pytest.mark.usefixtures("short_answers")
+def test_bytes_that_are_skipped_must_come_in_time(hub: Hub, files: Files, tmp_path: Path) -> None:
+    hub.faults = [Fault("a.tar", cut=150_000), Fault("a.tar", times=10**6, drop=True)]
+    with pytest.raises(RemoteError, match="received data are kept"):
+        brought(files, tmp_path)
+    late = Files(sends(slowly), patience=0.3)
+    with pytest.raises(RemoteError, match=r"sent \d+ bytes in"):
+        fetch(late, "a.tar", tmp_path / "a.tar", len(DATA), hashlib.sha256(DATA).hexdigest())
 
 
 def test_a_stop_ends_all_waits(files: Files, hub: Hub, tmp_path: Path) -> None:

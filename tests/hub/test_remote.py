@@ -19,10 +19,10 @@ from gcd_dataset.hub.download import download
 from gcd_dataset.hub.remote import MOST_SAMPLES, PARALLEL, Remote, RemoteStore, open_store
 from gcd_dataset.hub.source import Folder, Repo, Url, parse_source
 from gcd_dataset.loaders import GarmentDataset
-from gcd_dataset.shards.folder import DOWNLOAD_FILE, FolderStore
 from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import is_picture
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, parse_manifest, read_manifest
+from gcd_dataset.shards.store import DOWNLOAD_FILE, FolderStore
 from tests.hub.conftest import COUNT, ensure, read, write_set
 from tests.hub.server import Fault, Hub, read_folder
 

@@ -1,10 +1,16 @@
 """Batches of ragged garments: row numbers keep their meaning."""
 
+import multiprocessing
+import random
 import sys
+from collections import defaultdict
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch.utils._pytree import tree_map
@@ -16,6 +22,7 @@ from gcd_dataset.loaders import (
     GarmentDataset,
     PackedBatch,
     PaddedBatch,
+    batches,
     collate_list,
     collate_packed,
     collate_padded,
@@ -23,7 +30,7 @@ from gcd_dataset.loaders import (
     seam_graph,
     to_pyg,
 )
-from gcd_dataset.loaders.batches import RAGGED, copy_tensor
+from gcd_dataset.loaders.batches import RAGGED, buffer_of, copy_tensor
 from tests.loaders.test_shards import same
 from tests.shards.folders import fill
 
@@ -178,20 +185,13 @@ def test_entries_that_a_transform_adds_are_listed() -> None:
 
 
 def test_copies_share_no_memory() -> None:
-    for value in (torch.rand(3, 4), torch.rand(3, 4).T, torch.rand(3).bfloat16(), torch.zeros(0, 3, dtype=torch.int32)):
+    """Also of types that NumPy lacks: a transform may add such a tensor."""
+    lacking = (torch.rand(3).bfloat16(), torch.ones(3).to(torch.float8_e4m3fn), torch.tensor([1 + 2j, 3 - 1j]).conj())
+    for value in (torch.rand(3, 4), torch.rand(3, 4).T, torch.zeros(0, 3, dtype=torch.int32), *lacking):
         copy = copy_tensor(value)
-        assert same(copy, value)
         assert copy.dtype == value.dtype
+        assert copy.to(torch.complex64).tolist() == value.to(torch.complex64).tolist()
         assert not len(value) or copy.data_ptr() != value.data_ptr()
-
-
-@pytest.mark.parametrize("value", [torch.ones(3).to(torch.float8_e4m3fn), torch.tensor([1 + 2j, 3 - 1j]).conj()])
-def test_types_that_numpy_lacks_are_copied_too(value: torch.Tensor) -> None:
-    """A transform may add such a tensor."""
-    copy = copy_tensor(value)
-    assert copy.dtype == value.dtype
-    assert copy.data_ptr() != value.data_ptr()
-    assert copy.to(torch.complex64).tolist() == value.to(torch.complex64).tolist()
 
 
 # ----------------------------------------------------------------------------------------------------- garments at once
@@ -366,3 +366,54 @@ def test_unknown_graphs_and_missing_fields_are_refused(
 def test_a_mesh_needs_vertices(items: list[dict[str, Any]]) -> None:
     with pytest.raises(ConfigError, match="the garment has faces but no vertices"):
         to_pyg({"faces": items[0]["faces"]})
+
+
+# -------------------------------------------------------------------------------------------------------------- buffers
+
+LARGE = 100_000
+
+
+def marked(number: int, size: int) -> np.ndarray:
+    memory = buffer_of(size)
+    memory[:] = number % 251
+    return memory
+
+
+def test_buffers_and_views_in_use_are_not_shared() -> None:
+    tensor = torch.from_numpy(buffer_of(LARGE)).view(torch.float32)[5:9]
+    tensor.fill_(7.0)
+    chance, held = random.Random(0), dict[int, np.ndarray]()
+    for number in range(2000):
+        held[number] = marked(number, chance.choice([100, LARGE, 3 * LARGE]))
+        if len(held) > 20:
+            del held[chance.choice(list(held))]
+        assert all((memory == number % 251).all() for number, memory in list(held.items())[-3:])
+    assert all((memory == number % 251).all() for number, memory in held.items())
+    assert tensor.tolist() == 4 * [7.0]
+
+
+def test_free_buffers_are_reused_and_few_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batches, "MOST_KEPT", 3 << 17)
+    monkeypatch.setattr(batches, "_kept", defaultdict(list))
+    memories = [buffer_of(LARGE) for _ in range(9)]
+    places = [memory.ctypes.data for memory in memories]
+    assert len(set(places)) == 9
+    del memories
+    assert [len(kept) for kept in batches._kept.values()] == [3]
+    again = [buffer_of(LARGE + change) for change in (1, 0, -1)]
+    assert {memory.ctypes.data for memory in again} == set(places[:3])
+
+
+def _sums(sizes: Sequence[int]) -> list[int]:
+    return [int(marked(number, size).sum(dtype=np.int64)) for number, size in enumerate(sizes)]
+
+
+def test_threads_and_forked_processes_do_not_share_buffers() -> None:
+    sizes = [LARGE + number for number in range(60)]
+    expected = [number % 251 * size for number, size in enumerate(sizes)]
+    with ThreadPoolExecutor(4) as threads:
+        assert all(sums == expected for sums in threads.map(_sums, 8 * [sizes]))
+    held = marked(9, LARGE)
+    with multiprocessing.get_context("fork").Pool(2) as processes:
+        assert all(sums == expected for sums in processes.map(_sums, 4 * [sizes]))
+    assert (held == 9).all()

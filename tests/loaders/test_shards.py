@@ -23,7 +23,9 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.loaders.shards import SplitPart, parse_splits
 from gcd_dataset.records import Grade, Outcome, Sample, StoredView
 from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
+from gcd_dataset.shards.layout import key_of
 from gcd_dataset.shards.reader import Quality
+from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.shards.tar import BLOCK, CheckedTar
 from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
 
@@ -312,10 +314,11 @@ def signed(position: int, field: bytes, kind: bytes = tarfile.REGTYPE) -> bytes:
         (header(pax_headers={"size": "99999999999"}), "not a plain file"),
         (header(tarfile.GNUTYPE_LONGNAME, size=1 << 32), "not a plain file"),
         (header(tarfile.SYMTYPE, linkname="/etc/passwd"), "not a plain file"),
-        (header(size=1 << 30), "1073741824 bytes, over the limit of 536870912"),
+        (header(size=1 << 30), r"verts\.z is cut off"),
         (signed(124, b"000000000017"), "tar header of another program"),  # other readers read twelve digits
-        (b"".join(header(name=f"gcd_000000000.{number}") for number in range(300)), "has over 232 members"),
         (2 * header(), "occurs twice"),
+        (header(name="BZh91AY&SY.verts.z"), "in the place of gcd_000000000"),  # tarfile would decompress it
+        (header(name="__skipped__"), "in the place of gcd_000000000"),  # webdataset would keep each
         (zlib.compress(bytes(1 << 20), wbits=31), "no tar header"),
     ],
 )
@@ -330,12 +333,32 @@ def test_harmful_headers_are_refused_before_webdataset_sees_them(tmp_path: Path,
 @pytest.mark.parametrize("size", [1, 511, 512, 513, 10_240, 1 << 20])
 def test_headers_are_found_in_reads_of_any_size(folder: Path, size: int) -> None:
     content = (folder / "train-00000.tar").read_bytes()
-    checked = CheckedTar(io.BytesIO(content))
+    index = FolderStore(folder).index("train")
+    spans = [(key_of(n), int(index.start[n]), int(index.end[n])) for n in range(index.record.shards[0].count)]
+    checked = CheckedTar(io.BytesIO(content), spans)
     assert b"".join(iter(lambda: checked.read(size), b"")) == content
+    some = CheckedTar(io.BytesIO(content), spans[1:3])
+    assert b"".join(iter(lambda: some.read(size), b"")) == content[spans[1][1] : spans[2][2]] + bytes(2 * BLOCK)
     last = content.rindex(b"gcd_000000003.points.z")
-    damaged = CheckedTar(io.BytesIO(content[:last] + b"x" + content[last + 1 :]))
+    damaged = CheckedTar(io.BytesIO(content[:last] + b"x" + content[last + 1 :]), spans)
     with pytest.raises(ShardError, match=f"no tar header at byte {last}"):
         list(iter(lambda: damaged.read(size), b""))
+
+
+def test_a_stream_reads_no_more_than_the_index_lists(tmp_path: Path) -> None:
+    content = b"".join(header(name=f"a.{number}")[:BLOCK] for number in range(300))
+    with pytest.raises(ShardError, match="sample a has over 232 members"):
+        CheckedTar(io.BytesIO(content), [("a", 0, len(content))]).read(len(content))
+    spans = [("a", 0, (1 << 28) + 2 * BLOCK), ("b", (1 << 28) + 2 * BLOCK, (1 << 28) + 3 * BLOCK)]
+    with (tmp_path / "sparse.tar").open("wb+") as file:
+        file.write(header(name="a.x", size=(1 << 28) + 1)[:BLOCK])
+        file.truncate(1 << 40)
+        with pytest.raises(ShardError, match=r"member a\.x has 268435457 bytes, over the limit of 268435456"):
+            CheckedTar(file, spans).read(BLOCK)
+        file.seek(spans[1][1])
+        file.write(header(name="b.x", size=1)[:BLOCK])
+        with pytest.raises(ShardError, match=r"member b\.x is cut off at byte 268436992"):
+            CheckedTar(file, spans[1:]).read(BLOCK)
 
 
 @pytest.mark.parametrize("name", ["thing-000000.tar", "train-00000.tar", "train.tar"])

@@ -17,8 +17,8 @@ from gcd_dataset.making import ray
 from gcd_dataset.making.ray import code_versions, gpu_share, with_cluster_device
 from gcd_dataset.making.run import Made, Maker
 from gcd_dataset.making.tasks import Task
+from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.manifest import Plan
-from gcd_dataset.shards.place import Place
 from tests.test_cli import one_line
 
 

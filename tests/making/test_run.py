@@ -26,8 +26,8 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making import garments, run, store
 from gcd_dataset.making.tasks import Work
 from gcd_dataset.shards import ShardReader, encode_sample, read_manifest
+from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.manifest import Plan
-from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import draft_name
 from tests.making.conftest import COUNT, CUFFED, killed, made_once, stopped
 from tests.shards.folders import contents, forbidden, public_folder
@@ -216,6 +216,11 @@ def test_a_store_holds_the_bytes_of_a_folder(
     assert make(url, COUNT).made == 0
     fsspec.filesystem("memory").rm("/bucket/set/train-00003.tar")
     assert make(url, COUNT).made == 2
+    assert stored(url) == whole
+    fsspec.filesystem("memory").rm("/bucket/set/train-00001.json")  # made again from a copy of its tar
+    index(store.place_for(url))
+    assert not [path for path in (tmp_path / ".cache/gcd_dataset/work").rglob("*") if path.is_file()]
+    assert make(url, COUNT).made == 0
     assert stored(url) == whole
     assert not [path for path in (tmp_path / ".cache/gcd_dataset/work").rglob("*") if path.is_file()]
     with pytest.raises(ConfigError, match="seed=0, asked for seed=1"):

@@ -15,16 +15,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gcd_dataset.check.files import set_faults
 from gcd_dataset.errors import ConfigError, GcdError, ShardError
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.making.run import index
 from gcd_dataset.shards import ShardReader, decode_sample, encode_sample
+from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.cache import make_room, size_in_bytes
 from gcd_dataset.shards.codec import decode_field
 from gcd_dataset.shards.layout import is_picture
 from gcd_dataset.shards.meta import sealed
 from gcd_dataset.shards.notes import gather
-from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.tar import BLOCK, END, tar_entry
 from tests.shards.folders import fill, forbidden, public_folder
 
@@ -322,3 +324,26 @@ def test_a_reader_that_checks_nothing_leaves_no_damage_in_the_cache(folder: Path
         GarmentDataset(folder, verify="off", **options)[[1]]
     flip(path, place)
     assert GarmentDataset(folder, **options)[[1]][0]["design"] == GarmentDataset(folder)[1]["design"]
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("train-00000.json", b'"seed":0', b'"seed":1'),
+        ("train-00000.json", b"[1,20,6,", b"[1,20,7,"),
+        ("train-00001.json", b'"rejected":{}', b'"rejected":{"cuff":1}'),
+        ("train-00001.json", b'"skipped":{}}\n', b'"skipped":{}}'),
+        ("train-00001.json", b'{"split"', b'{"spliu"'),
+        ("rejects.jsonl", b"", b"\n"),
+    ],
+)
+def test_a_full_check_finds_changed_notes_and_rejects(folder: Path, name: str, old: bytes, new: bytes) -> None:
+    assert not [*set_faults(folder, every_byte=True)]
+    content = (folder / name).read_bytes()
+    (folder / name).write_bytes(content.replace(old, new, 1))
+    assert (folder / name).read_bytes() != content
+    (fault,) = set_faults(folder, every_byte=True)
+    assert fault.startswith(f"{folder / name}: ") and fault.endswith("run gcd index")
+    (folder / name).unlink()
+    index(Place(folder))
+    assert not [*set_faults(folder, every_byte=True)]

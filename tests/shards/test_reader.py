@@ -3,26 +3,20 @@
 import multiprocessing
 import os
 import pickle
-import random
 import shutil
-from collections import defaultdict
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from gcd_dataset.check.summary import info_lines
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import MEMBERS, ShardReader, buffers, encode_sample
-from gcd_dataset.shards import folder as folders
-from gcd_dataset.shards.buffers import read_buffer
-from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, store
 from gcd_dataset.shards.layout import key_of
+from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.shards.writer import draft_name
 from tests.shards.folders import fill, forbidden, public_folder
 
@@ -157,7 +151,7 @@ def test_a_data_set_replaced_meanwhile_is_reported(folder: Path) -> None:
 
 
 def test_a_reader_may_be_pickled_spawned_and_shared_by_threads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(folders, "OPEN_FILES", 1)
+    monkeypatch.setattr(store, "OPEN_FILES", 1)
     shards = ShardReader(folder)
     expected = [encode_sample(fake_sample(0, position))["verts.z"] for position in range(10)]
     assert shards.read(0, ["verts.z"])["verts.z"] == expected[0]
@@ -172,54 +166,3 @@ def test_a_reader_may_be_pickled_spawned_and_shared_by_threads(folder: Path, mon
 
 def shards_length(shards: ShardReader) -> tuple[int, int]:
     return len(shards), len(shards.read(3, ["verts.z"])["verts.z"])
-
-
-# -------------------------------------------------------------------------------------------------------------- buffers
-
-LARGE = 100_000
-
-
-def marked(number: int, size: int) -> np.ndarray:
-    memory = read_buffer(size)
-    memory[:] = number % 251
-    return memory
-
-
-def test_buffers_and_views_in_use_are_not_shared() -> None:
-    tensor = torch.from_numpy(read_buffer(LARGE)).view(torch.float32)[5:9]
-    tensor.fill_(7.0)
-    chance, held = random.Random(0), dict[int, np.ndarray]()
-    for number in range(2000):
-        held[number] = marked(number, chance.choice([100, LARGE, 3 * LARGE]))
-        if len(held) > 20:
-            del held[chance.choice(list(held))]
-        assert all((memory == number % 251).all() for number, memory in list(held.items())[-3:])
-    assert all((memory == number % 251).all() for number, memory in held.items())
-    assert tensor.tolist() == 4 * [7.0]
-
-
-def test_free_buffers_are_reused_and_few_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(buffers, "MOST_KEPT", 3 << 17)
-    monkeypatch.setattr(buffers, "_kept", defaultdict(list))
-    memories = [read_buffer(LARGE) for _ in range(9)]
-    places = [memory.ctypes.data for memory in memories]
-    assert len(set(places)) == 9
-    del memories
-    assert [len(kept) for kept in buffers._kept.values()] == [3]
-    again = [read_buffer(LARGE + change) for change in (1, 0, -1)]
-    assert {memory.ctypes.data for memory in again} == set(places[:3])
-
-
-def _sums(sizes: Sequence[int]) -> list[int]:
-    return [int(marked(number, size).sum(dtype=np.int64)) for number, size in enumerate(sizes)]
-
-
-def test_threads_and_forked_processes_do_not_share_buffers() -> None:
-    sizes = [LARGE + number for number in range(60)]
-    expected = [number % 251 * size for number, size in enumerate(sizes)]
-    with ThreadPoolExecutor(4) as threads:
-        assert all(sums == expected for sums in threads.map(_sums, 8 * [sizes]))
-    held = marked(9, LARGE)
-    with multiprocessing.get_context("fork").Pool(2) as processes:
-        assert all(sums == expected for sums in processes.map(_sums, 4 * [sizes]))
-    assert (held == 9).all()

@@ -15,11 +15,10 @@ import pytest
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
-from gcd_dataset.shards.access import lock_file, unlock
+from gcd_dataset.shards.access import Place, lock_file, unlock
 from gcd_dataset.shards.layout import is_picture, recipe_hash
 from gcd_dataset.shards.manifest import Plan
 from gcd_dataset.shards.notes import gather
-from gcd_dataset.shards.place import Place
 from gcd_dataset.shards.writer import Draft, draft_name, shard_size_of
 from tests.shards.folders import RECIPE, SHARD_SIZE, contents, fill, forbidden, open_writer, public_folder
 
