@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.curves import sample_curve, signed_area
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.lattice import lattice_size
 from gcd_dataset.generator.mesh.stitch import (
     MOST_POINTS,
     Border,
@@ -27,7 +26,7 @@ from gcd_dataset.generator.mesh.stitch import (
     seam_name,
     stitch_points,
 )
-from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline, flat_areas
+from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline, flat_areas, lattice_size
 from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern, Seam
 
 SAMPLES = 17  # points of an edge, for the sign of a loop's area

@@ -22,7 +22,7 @@ from gcd_dataset.generator.drape import (
     seconds_per_garment,
     seconds_to_drape,
 )
-from gcd_dataset.generator.drape import device as devices
+from gcd_dataset.generator import device as devices
 from gcd_dataset.generator.drape.kernels import carry
 from gcd_dataset.generator.drape.solver import Solver
 from tests.helpers import SIZE, far_ball, patch
