@@ -237,7 +237,7 @@ def mark_lattice(points: Points, cells: Numbers, n: int, rows: int, columns: int
 
 @wp.func
 def face_at(points: Points, faces: Rows, beside: Rows, start: int, count: int, p: wp.vec2d) -> int:
-    """The triangle that holds a point: by a walk from ``start``, or by a search where the walk meets the outline.
+    """The triangle that holds a point: by a walk from ``start``, or by a search where the walk ends at the outline.
 
     For a point outside all triangles ``OUTSIDE``.
     """
@@ -357,8 +357,8 @@ def fill(
 ):
     """Fill an outline: triangles of its points, then lattice points, then refinement, the largest circles first.
 
-    ``size``: number of points of the outline, rows and columns of the lattice; afterwards numbers of points and
-    triangles in their place, or -1 - k triangles if the outline touches itself near point k. ``option``: origin of the lattice, spacing,
+    ``size``: number of points of the outline, rows and columns of the lattice, rows again, number of queries; afterwards numbers of points
+    and triangles in place of the first two, or -1 - k triangles if the outline touches itself near point k. ``option``: origin of the lattice, spacing,
     longest side [spacings], sharpest angle [rad]. Arrays, since arguments that change make a launch slow.
     """
     n = size[0]
@@ -458,14 +458,49 @@ def fill(
             size[1] = -1 - wp.min(wp.min(faces[face, 0], faces[face, 1]), faces[face, 2])
 
 
+@wp.func
+def near_face(cells: Numbers, touching: Numbers, rows: int, columns: int, row: f64, column: f64, otherwise: int) -> int:
+    """A triangle at the inserted lattice point nearest to a position in the lattice, of its own row or the next ones."""
+    for up in range(3):
+        j = int(wp.rint(row)) + wp.where(up == 2, -1, up)
+        i = int(wp.rint(column - HALF * f64(wp.abs(j) % 2)))
+        for along in range(3):
+            at = i + wp.where(along == 2, -1, along)
+            if j >= 0 and j < rows and at >= 0 and at < columns:
+                m = cells[j * columns + at]
+                if m > 1:
+                    return touching[m]
+    return otherwise
+
+
 @wp.kernel
-def find(points: Points, faces: Rows, beside: Rows, size: Numbers, queries: Points, found: Numbers):
+def find(
+    points: Points,
+    faces: Rows,
+    beside: Rows,
+    touching: Numbers,
+    cells: Numbers,
+    size: Numbers,
+    option: Reals,
+    queries: Points,
+    found: Numbers,
+):
     """The triangle that holds each query point; for a point outside all of them, the one that it lies least beyond."""
     count = size[1]
+    pitch = PITCH_64 * option[2]
     last = int(0)
-    for k in range(queries.shape[0]):
+    for k in range(size[4]):
         p = queries[k]
-        face = face_at(points, faces, beside, last, count, p)
+        start = near_face(
+            cells,
+            touching,
+            size[3],
+            size[2],
+            (p[1] - option[1]) / pitch / ROW_64,
+            (p[0] - option[0]) / pitch,
+            last,
+        )
+        face = face_at(points, faces, beside, start, count, p)
         if face < 0:
             best = f64(-1.0e30)
             for other in range(count):

@@ -110,10 +110,10 @@ class Triangulator:
         n, (origin, rows, columns) = len(border), _lattice(border, spacing)
         self._make_room(2 * n + rows * columns, rows * columns)
         self._views["points"][:n] = border
-        self._views["size"][:] = n, rows, columns
+        self._views["size"][:] = n, rows, columns, rows, 0
         self._views["option"][:] = *origin, spacing, quality.longest, quality.sharpest
         self._fill.launch()
-        size, count, _ = self._views["size"].tolist()
+        size, count = self._views["size"][:2].tolist()
         if count < 0:
             x, y = border[-1 - count]
             raise MeshError(f"the outline touches itself near ({x:.2f}, {y:.2f}) cm: move its edges apart")
@@ -121,12 +121,12 @@ class Triangulator:
 
     def holding(self, queries: Float[np.ndarray, "k 2"]) -> Int[np.ndarray, " k"]:
         """The triangle of the last outline that holds each point, or the one that it lies least beyond."""
-        import warp as wp
-
-        asked = wp.from_numpy(np.ascontiguousarray(queries, float), dtype=wp.vec2d, device="cpu")
-        found = wp.empty(len(queries), dtype=wp.int32, device="cpu")
-        wp.launch(self._kernels.find, 1, [*self._mesh, asked, found], device="cpu")
-        return found.numpy().astype(int)
+        if len(queries) > len(self._asked):
+            self._make_room_for_queries(int(ROOM * len(queries)))
+        self._asked[: len(queries)] = queries
+        self._views["size"][4] = len(queries)
+        self._find.launch()
+        return self._found[: len(queries)].astype(int)
 
     def _make_room(self, points: int, cells: int) -> None:
         """Buffers for so many points and lattice points."""
@@ -138,15 +138,23 @@ class Triangulator:
         f = 2 * p  # a triangulation of p points has fewer triangles
         # In the order of the kernel's arguments.
         shapes = {"points": p, "faces": (f, 3), "beside": (f, 3), "touching": p, "seen": f, "fresh": f, "work": f}
-        shapes |= {"ring": (f, 3), "cells": cells, "poor": f, "radius": f, "centre": f, "size": 3, "option": 5}
+        shapes |= {"ring": (f, 3), "cells": cells, "poor": f, "radius": f, "centre": f, "size": 5, "option": 5}
         types = {"points": wp.vec2d, "centre": wp.vec2d, "radius": wp.float64, "option": wp.float64}
-        buffers = {
+        # A recorded launch does not keep its arrays.
+        self._buffers = {
             name: wp.empty(shape, dtype=types.get(name, wp.int32), device="cpu") for name, shape in shapes.items()
         }
-        self._views = {name: buffers[name].numpy() for name in ("points", "faces", "size", "option")}
-        self._mesh = [buffers[name] for name in ("points", "faces", "beside", "size")]
-        self._buffers = list(buffers.values())  # a recorded launch does not keep its arrays
-        self._fill = wp.launch(self._kernels.fill, 1, self._buffers, device="cpu", record_cmd=True)
+        self._views = {name: self._buffers[name].numpy() for name in ("points", "faces", "size", "option")}
+        self._fill = wp.launch(self._kernels.fill, 1, [*self._buffers.values()], device="cpu", record_cmd=True)
+        self._make_room_for_queries(p)
+
+    def _make_room_for_queries(self, count: int) -> None:
+        import warp as wp
+
+        mesh = [self._buffers[name] for name in ("points", "faces", "beside", "touching", "cells", "size", "option")]
+        self._queries = [wp.empty(count, dtype=kind, device="cpu") for kind in (wp.vec2d, wp.int32)]
+        self._asked, self._found = (buffer.numpy() for buffer in self._queries)
+        self._find = wp.launch(self._kernels.find, 1, [*mesh, *self._queries], device="cpu", record_cmd=True)
 
 
 def flat_areas(corners: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, " f"]:
