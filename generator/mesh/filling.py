@@ -357,9 +357,10 @@ def fill(
 ):
     """Fill an outline: triangles of its points, then lattice points, then refinement, the largest circles first.
 
-    ``size``: number of points of the outline, rows and columns of the lattice, rows again, number of queries; afterwards numbers of points
-    and triangles in place of the first two, or -1 - k triangles if the outline touches itself near point k. ``option``: origin of the lattice, spacing,
-    longest side [spacings], sharpest angle [rad]. Arrays, since arguments that change make a launch slow.
+    ``size``: number of points of the outline, rows and columns of the lattice, rows again, number of queries;
+    afterwards numbers of points and triangles in place of the first two, or -1 - k triangles if the outline touches
+    itself near point k. ``option``: origin of the lattice, spacing, longest side [spacings], sharpest angle [rad].
+    Arrays, since arguments that change make a launch slow.
     """
     n = size[0]
     rows = size[1]
@@ -460,7 +461,7 @@ def fill(
 
 @wp.func
 def near_face(cells: Numbers, touching: Numbers, rows: int, columns: int, row: f64, column: f64, otherwise: int) -> int:
-    """A triangle at the inserted lattice point nearest to a position in the lattice, of its own row or the next ones."""
+    """A triangle at an inserted lattice point next to a position in the lattice, if there is any."""
     for up in range(3):
         j = int(wp.rint(row)) + wp.where(up == 2, -1, up)
         i = int(wp.rint(column - HALF * f64(wp.abs(j) % 2)))
