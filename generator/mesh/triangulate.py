@@ -7,6 +7,7 @@ has its points already. The work is done by the kernels of ``filling``.
 
 import threading
 from dataclasses import dataclass
+from math import ceil
 from typing import TypeAlias
 
 import numpy as np
@@ -18,7 +19,7 @@ from gcd_dataset.errors import MeshError
 LONGEST = 1.43  # spacings: the longest edge, as in GarmentCode's boxmeshgen.py
 SHARPEST = np.radians(25.0)  # refinement's target angle; termination is proved up to 20.7° (Ruppert)
 PITCH = 0.97  # lattice spacing over border spacing: the median edge of GarmentCode's meshes
-ROW = np.sqrt(0.75)  # pitches from row to row of the lattice
+ROW = 0.75**0.5  # pitches from row to row of the lattice
 MARGIN = 2  # rows and columns of the lattice on each side of an outline
 ROOM = 1.5  # times the present need: buffers are made so much larger
 
@@ -74,13 +75,12 @@ def lattice_size(border: Float[np.ndarray, "n 2"], spacing: float) -> int:
     return rows * columns
 
 
-def _lattice(border: Float[np.ndarray, "n 2"], spacing: float) -> tuple[Float[np.ndarray, "2"], int, int]:
+def _lattice(border: Float[np.ndarray, "n 2"], spacing: float) -> tuple[tuple[float, float], int, int]:
     """Origin [cm], rows and columns of a lattice over a border, symmetric about the middle of its width."""
-    step = PITCH * spacing * np.array([1.0, ROW])
-    low, high = border.min(axis=0), border.max(axis=0)
-    half = np.ceil(0.5 * (high - low) / step) + MARGIN
-    columns, rows = (2 * half + 1).astype(int).tolist()
-    return 0.5 * (low + high) - half * step, rows, columns
+    step_x, step_y = PITCH * spacing, PITCH * spacing * ROW
+    (left, low), (right, high) = border.min(axis=0).tolist(), border.max(axis=0).tolist()
+    i, j = (ceil(0.5 * extent) + MARGIN for extent in ((right - left) / step_x, (high - low) / step_y))
+    return (0.5 * (left + right) - i * step_x, 0.5 * (low + high) - j * step_y), 2 * j + 1, 2 * i + 1
 
 
 _own = threading.local()
