@@ -1,4 +1,4 @@
-"""Drape garments on bodies: batched cloth simulation in Warp. Only this package and the renderer import Warp."""
+"""Drape garments on bodies: batched cloth simulation in Warp."""
 
 from gcd_dataset.generator.device import every_device, load_kernels, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob

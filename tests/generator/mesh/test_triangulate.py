@@ -124,6 +124,34 @@ def test_a_disc_with_all_points_on_one_circle_is_filled() -> None:
     assert_filled_once(circle(200.0, 1.0))
 
 
+def test_points_of_the_lattice_are_numbered_row_by_row() -> None:
+    """Rows and places in them ascend: a stored mesh is half as large as with its points in the order of insertion."""
+    seeds, _ = triangulate(loop(rectangle(30.0, 20.0), 1.0), 1.0)
+    lattice = seeds[:500]  # those of the refinement follow all of the lattice
+    assert (np.lexsort((lattice[:, 0], lattice[:, 1].round(6))) == np.arange(500)).all()
+
+
+def test_a_spike_of_no_width_is_refused() -> None:
+    corners = [(0, 0), (20, 0), (20, 5), (30, 5 + 1e-11), (20, 5 + 2e-11), (20, 10), (0, 10)]
+    with pytest.raises(MeshError, match=r"the outline touches itself near \(.*\) cm: move its edges apart"):
+        triangulate(loop(np.array(corners, float), 1.0), 1.0)
+
+
+@pytest.mark.parametrize("width", [1e-9, 1e-6, 1e-3])
+def test_a_narrow_slit_is_left_open(width: float) -> None:
+    corners = [(0, 0), (20, 0), (20, 5), (7, 5 + 0.5 * width), (20, 5 + width), (20, 10), (0, 10)]
+    assert_filled_once(loop(np.array(corners, float), 1.0))
+
+
+def test_a_panel_grows_the_buffers_and_a_small_one_is_filled_in_them_as_before() -> None:
+    small, large = loop(star(1), 1.0), loop(rectangle(200.0, 150.0), 1.0)
+    seeds, faces = triangulate(small, 1.0)
+    assert len(triangulate(large, 1.0)[0]) > 25_000
+    again, same = triangulate(small, 1.0)
+    assert (again == seeds).all()
+    assert (same == faces).all()
+
+
 def test_an_outline_through_its_own_corner_is_refused() -> None:
     border = np.array([(0, 0), (2, 0), (2, 2), (1, 0), (0, 2)], float)
     with pytest.raises(MeshError, match="the outline touches itself"):
