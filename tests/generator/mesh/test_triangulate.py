@@ -132,15 +132,15 @@ def test_points_of_the_lattice_are_numbered_row_by_row() -> None:
 
 
 def test_a_spike_of_no_width_is_refused() -> None:
-    corners = [(0, 0), (20, 0), (20, 5), (30, 5 + 1e-11), (20, 5 + 2e-11), (20, 10), (0, 10)]
+    corners = [(0.0, 0.0), (20, 0), (20, 5), (30, 5 + 1e-11), (20, 5 + 2e-11), (20, 10), (0, 10)]
     with pytest.raises(MeshError, match=r"the outline touches itself near \(.*\) cm: move its edges apart"):
-        triangulate(loop(np.array(corners, float), 1.0), 1.0)
+        triangulate(loop(corners, 1.0), 1.0)
 
 
 @pytest.mark.parametrize("width", [1e-9, 1e-6, 1e-3])
 def test_a_narrow_slit_is_left_open(width: float) -> None:
-    corners = [(0, 0), (20, 0), (20, 5), (7, 5 + 0.5 * width), (20, 5 + width), (20, 10), (0, 10)]
-    assert_filled_once(loop(np.array(corners, float), 1.0))
+    corners = [(0.0, 0.0), (20, 0), (20, 5), (7, 5 + 0.5 * width), (20, 5 + width), (20, 10), (0, 10)]
+    assert_filled_once(loop(corners, 1.0))
 
 
 def test_a_panel_grows_the_buffers_and_a_small_one_is_filled_in_them_as_before() -> None:
