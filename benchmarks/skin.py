@@ -7,7 +7,7 @@ import warp as wp
 from jaxtyping import Int
 
 from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model
-from gcd_dataset.generator.drape.device import resolve_device
+from gcd_dataset.generator.device import resolve_device
 from gcd_dataset.generator.drape.kernels.crossing import count_self_crossings, find_roots
 from gcd_dataset.generator.drape.kernels.world import ClothArrays
 from gcd_dataset.meshedges import mesh_edges

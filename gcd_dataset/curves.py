@@ -135,7 +135,7 @@ def _bezier_length(start: Point, end: Point, curve: Quadratic | Cubic) -> float:
 
 def sample_curve(start: Point, end: Point, curve: Curve, count: int) -> Float[np.ndarray, "n 2"]:
     """``count`` points equally spaced by arc length [cm], both ends included and exact."""
-    t = np.linspace(0.0, 1.0, count)
+    t = _shares(count)
     if isinstance(curve, Quadratic | Cubic):
         t = _equal_arc_length(start, end, curve, t)
     points = curve_points(start, end, curve, t)
@@ -143,11 +143,19 @@ def sample_curve(start: Point, end: Point, curve: Curve, count: int) -> Float[np
     return points
 
 
+@lru_cache(maxsize=1024)
+def _shares(count: int) -> Float[np.ndarray, " n"]:
+    """``count`` numbers from 0 to 1, not to be written to."""
+    shares = np.linspace(0.0, 1.0, count)
+    shares.flags.writeable = False
+    return shares
+
+
 def _equal_arc_length(
     start: Point, end: Point, curve: Quadratic | Cubic, shares: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
     """Curve parameters at the given shares of the arc length."""
-    knots = np.linspace(0.0, 1.0, max(129, 2 * len(shares) + 1))
+    knots = _shares(max(129, 2 * len(shares) + 1))
     speed = np.linalg.norm(curve_tangents(start, end, curve, knots), axis=1)
     middle = np.linalg.norm(curve_tangents(start, end, curve, 0.5 * (knots[1:] + knots[:-1])), axis=1)
     steps = (speed[1:] + 4 * middle + speed[:-1]) / 6 * np.diff(knots)  # Simpson's rule

@@ -25,18 +25,31 @@ def principal_stretches(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Fl
     1 is unstretched. The gradient maps the face from the panel's plane to its place at ``vertices`` [cm]. Faces without
     flat area have stretches of 1.
     """
-    flat = mesh.uv[mesh.corners]
-    a, b = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    corner = np.asarray(vertices, float)[mesh.faces]
-    p, q = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    (au, bu), (av, bv) = _sides(mesh.uv, mesh.corners)
+    area = au * bv - av * bu
     thin = np.abs(area) < 2.0 * THIN
-    scale = np.where(thin, 1.0, area)[:, None]
-    along_u, along_v = (p * b[:, 1:] - q * a[:, 1:]) / scale, (q * a[:, :1] - p * b[:, :1]) / scale
-    uu, vv, uv = (along_u**2).sum(axis=1), (along_v**2).sum(axis=1), (along_u * along_v).sum(axis=1)
+    scale = 1.0 / np.where(thin, 1.0, area)
+    au, bu, av, bv = au * scale, bu * scale, av * scale, bv * scale
+    uu, vv, uv = np.zeros((3, len(area)))
+    for p, q in _sides(vertices, mesh.faces):
+        along_u, along_v = p * bv - q * av, q * au - p * bu
+        uu += along_u**2
+        vv += along_v**2
+        uv += along_u * along_v
     middle, spread = 0.5 * (uu + vv), np.hypot(0.5 * (uu - vv), uv)
-    stretches = np.sqrt(np.stack([middle + spread, np.maximum(middle - spread, 0.0)], axis=1))
-    return np.where(thin[:, None], 1.0, stretches)
+    stretches = np.sqrt([middle + spread, np.maximum(middle - spread, 0.0)])
+    stretches[:, thin] = 1.0
+    return stretches.T
+
+
+def _sides(points: Float[np.ndarray, "v d"], corners: Int[np.ndarray, "f 3"]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For each coordinate of the points: the differences of each face's second and third corner from its first.
+
+    By coordinates, since NumPy gathers a column several times faster than rows of three.
+    """
+    first, second, third = np.ascontiguousarray(corners.T)
+    columns = np.ascontiguousarray(np.asarray(points, float).T)
+    return [(column[second] - column[first], column[third] - column[first]) for column in columns]
 
 
 def strain_of(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Strain | None:
@@ -47,17 +60,25 @@ def strain_of(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Strain | Non
     if not len(mesh.faces) or not np.isfinite(vertices).all():
         return None
     stored = replace(mesh, uv=as_stored(mesh.uv, UV_STEP))
-    stretches = principal_stretches(stored, vertices)
-    panels = (stretches[mesh.panel_id == panel] for panel in range(len(mesh.panel_names)))
-    return Strain(_ends(stretches, OUTLIERS), tuple(_ends(own, PANEL_OUTLIERS) for own in panels))
+    by_panel = np.argsort(mesh.panel_id, kind="stable")
+    stretches = principal_stretches(stored, vertices)[by_panel]
+    first = np.searchsorted(mesh.panel_id[by_panel], range(1, len(mesh.panel_names)))
+    return Strain(_ends(stretches, OUTLIERS), tuple(_ends(own, PANEL_OUTLIERS) for own in np.split(stretches, first)))
 
 
 def _ends(stretches: Float[np.ndarray, "f 2"], outliers: float) -> tuple[float, float]:
     """The largest and the smallest stretch, without a share of the faces at either end [%]; 1 without faces."""
     if not len(stretches):
         return 1.0, 1.0
-    largest, smallest = np.percentile(stretches[:, 0], 100.0 - outliers), np.percentile(stretches[:, 1], outliers)
-    return float(largest), float(smallest)
+    return _quantile(stretches[:, 0], 1.0 - outliers / 100.0), _quantile(stretches[:, 1], outliers / 100.0)
+
+
+def _quantile(values: Float[np.ndarray, " n"], share: float) -> float:
+    """``np.quantile``, in a tenth of its time for a few values."""
+    place = share * (len(values) - 1)
+    low, high = int(place), min(int(place) + 1, len(values) - 1)
+    ordered = np.partition(values, (low, high))
+    return float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))
 
 
 def grade_of(drape: Drape, strain: Strain | None) -> Grade:
@@ -84,17 +105,24 @@ def sample_surface(
 
     Uniform within a triangle after Osada et al., Shape Distributions (ACM TOG 2002), section 3.1.
     """
-    a, b, c = np.asarray(vertices, float)[faces].transpose(1, 0, 2)
-    normals = np.cross(b - a, c - a)
-    doubled_area = np.linalg.norm(normals, axis=1)
+    (ux, wx), (uy, wy), (uz, wz) = sides = _sides(vertices, faces)
+    normals = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+    doubled_area = np.sqrt(sum(normal**2 for normal in normals))
     share = np.cumsum(doubled_area)
     # Stratified: one point in each of ``count`` equal shares of the area, so no region is missed.
     chosen = np.searchsorted(share, (np.arange(count) + rng.random(count)) / count * share[-1])
     face = np.minimum(chosen, len(faces) - 1)
-    root, along = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
-    points = (1 - root) * a[face] + root * ((1 - along) * b[face] + along * c[face])
-    unit = normals[face] / np.maximum(doubled_area[face], np.finfo(float).tiny)[:, None]
-    return np.concatenate([points, unit], axis=1)[spread(count)]
+    root, along = np.sqrt(rng.random(count)), rng.random(count)
+    order = spread(count)
+    face, root, along = face[order], root[order], along[order]
+    points = np.empty((count, 6))
+    points[:, :3] = np.asarray(vertices, float)[faces[face, 0]]
+    scale = 1.0 / np.maximum(doubled_area[face], np.finfo(float).tiny)
+    for axis in range(3):
+        second, third = sides[axis]
+        points[:, axis] += root * ((1.0 - along) * second[face] + along * third[face])
+        points[:, 3 + axis] = normals[axis][face] * scale
+    return points
 
 
 FIXED, PER_DENSITY = 0.8, 6.5  # s, s cm²; fitted to 7.2, 2.4 and 1.2 core-seconds measured at 1, 2 and 4 cm

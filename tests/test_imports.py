@@ -83,8 +83,9 @@ def imports_of(path: Path) -> set[str]:
     return set(re.findall(r"^ *(?:from|import) ([\w.]+)", path.read_text(), re.MULTILINE))
 
 
+SIMULATED = ("generator/drape/", "generator/render")
 USERS = {
-    "warp": ("generator/drape/", "generator/render"),
+    "warp": ("generator/device.py", "generator/mesh/filling.py", "generator/mesh/triangulate.py", *SIMULATED),
     "ray": ("making/ray.py",),
     "huggingface_hub": ("hub/",),
     "aiohttp": ("hub/",),

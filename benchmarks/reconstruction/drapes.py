@@ -5,20 +5,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 import torch
 import warp as wp
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.wearers import box_mesh_of, measurements_of, wearer_of
 from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.device import resolve_device
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
-from gcd_dataset.generator.drape.device import resolve_device
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
-from gcd_dataset.generator.mesh.coarse import barycentric, coarse_start, locate
+from gcd_dataset.generator.mesh.coarse import barycentric, coarse_start
 from gcd_dataset.records import BoxMesh
 
 AT_ONCE = 32  # garments whose crossings are counted together
@@ -161,12 +162,8 @@ def transferred(
         if not len(rows) or not len(faces):
             continue
         flat = mesh.corners[faces]
-        inside = locate(mesh.uv, flat, uv[rows], cell=_spacing(mesh, flat))
+        inside = shapely.STRtree(shapely.polygons(mesh.uv[flat])).nearest(shapely.points(uv[rows]))
         weights = barycentric(mesh.uv, flat[inside], uv[rows])
         np.add.at(total, vertex[rows], np.einsum("kn,nkd->nd", weights, values[mesh.faces[faces[inside]]]))
         np.add.at(times, vertex[rows], 1.0)
     return total / np.where(times > 0, times, np.nan)[:, None]
-
-
-def _spacing(mesh: BoxMesh, flat: Int[np.ndarray, "f 3"]) -> float:
-    return max(float(_sides(mesh.uv[flat]).mean()), 1e-3)

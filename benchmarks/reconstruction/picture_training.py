@@ -52,8 +52,8 @@ from gcd_dataset import Progress, generate
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator import MakeConfig, read_overlay
+from gcd_dataset.generator.device import cores
 from gcd_dataset.generator.drape import resolve_device
-from gcd_dataset.generator.drape.device import cores
 from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY
 from gcd_dataset.generator.render import render

@@ -41,7 +41,7 @@ from benchmarks.reconstruction.tasks import task_named
 from benchmarks.reconstruction.train import UNFINISHED, add_arguments, is_draped, options_from, require_usable
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.generator.drape.device import cores
+from gcd_dataset.generator.device import cores
 from gcd_dataset.jsonfile import read_json
 
 PROGRAMS = {"train": "benchmarks.reconstruction.train", "stitching.run": "benchmarks.reconstruction.stitching.run"}

@@ -55,7 +55,7 @@ from benchmarks.reconstruction.training import (
 from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder, write_whole
-from gcd_dataset.generator.drape.device import cores
+from gcd_dataset.generator.device import cores
 from gcd_dataset.generator.drawing import png_bytes
 
 MINUTES, TRAINED = 8.0, 4000

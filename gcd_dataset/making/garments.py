@@ -157,8 +157,8 @@ def encoded(wearers: int, keeps_all: bool, sample: Sample) -> Made:
 
 def workers_for(config: MakeConfig, count: int) -> int:
     """The fastest number of processes to make ``count`` samples: one for each core, fewer for a small number."""
+    from gcd_dataset.generator.device import cores
     from gcd_dataset.generator.drape import seconds_per_garment
-    from gcd_dataset.generator.drape.device import cores
 
     seconds = CPU_SECONDS[config.stage]
     if config.stage == "drape" and device_kind(config) == "cpu":
@@ -192,7 +192,7 @@ def generate_people(
 
 
 def _make_people(seed: int, bodies: str, recipe: dict[str, Any], workers: int | None, wanted: Wanted) -> Iterator[Made]:
-    from gcd_dataset.generator.drape.device import cores
+    from gcd_dataset.generator.device import cores
 
     indices = [index for _, left in wanted for index in left]
     processes = min(cores(), int(CPU_SECONDS["body"] * len(indices) / STARTUP)) if workers is None else workers

@@ -56,7 +56,7 @@ def run_log(
     if path is None:
         yield on_progress
         return
-    from gcd_dataset.generator.drape.device import cores, device_names
+    from gcd_dataset.generator.device import cores, device_names
 
     path = user_path(path)
     make_folder(path.parent)

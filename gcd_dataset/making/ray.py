@@ -222,7 +222,7 @@ def _connected() -> Iterator[Any]:
 def _connect(ray: Any) -> None:
     address, options = os.environ.get("RAY_ADDRESS", ""), dict[str, Any](log_to_driver=False, logging_level="ERROR")
     if address == "local":
-        from gcd_dataset.generator.drape.device import cores
+        from gcd_dataset.generator.device import cores
 
         options |= {"num_cpus": cores(), "include_dashboard": False}
     handler = signal.getsignal(signal.SIGTERM)

@@ -1,7 +1,7 @@
-"""Drape garments on bodies: batched cloth simulation in Warp. Only this package and the renderer import Warp."""
+"""Drape garments on bodies: batched cloth simulation in Warp."""
 
+from gcd_dataset.generator.device import every_device, load_kernels, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.device import every_device, load_kernels, resolve_device
 from gcd_dataset.generator.drape.drape import batch_capacity, drape_all, drape_batch
 from gcd_dataset.generator.drape.fabrics import (
     DEFAULT_FABRIC,

@@ -14,9 +14,9 @@ from typing import Self
 import numpy as np
 import warp as wp
 
+from gcd_dataset.generator.device import WorkStream, keep_freed_memory, launch_lock, to_host, work_streams
 from gcd_dataset.generator.drape.body_field import HostField, host_field
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.device import WorkStream, keep_freed_memory, launch_lock, to_host, work_streams
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING
 from gcd_dataset.generator.drape.model import ClothModel, build_model

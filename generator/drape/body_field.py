@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull
 
 from gcd_dataset.generator.body.repair import VisibleSkin, half_edges_of
 from gcd_dataset.generator.body.surface import kept_per_body
-from gcd_dataset.generator.drape.device import native_builds
+from gcd_dataset.generator.device import native_builds
 from gcd_dataset.generator.drape.kernels.field import BLOCK, Hull, Voxels, add_hulls, fill_fields, measure_blocks
 from gcd_dataset.records import Body, BodyPart
 

@@ -10,9 +10,9 @@ import numpy as np
 import warp as wp
 
 from gcd_dataset.errors import DrapeError
+from gcd_dataset.generator.device import cores, resolve_device
 from gcd_dataset.generator.drape.batches import PreparedJob, drape_unordered
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.device import cores, resolve_device
 from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.records import Drape, Outcome
 

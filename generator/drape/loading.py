@@ -5,8 +5,8 @@ import math
 from importlib import import_module
 from types import ModuleType
 
+from gcd_dataset.generator.device import cores, kernels_cached, load_kernels, resolve_device
 from gcd_dataset.generator.drape import kernels
-from gcd_dataset.generator.drape.device import cores, kernels_cached, load_kernels, resolve_device
 from gcd_dataset.generator.quality import core_seconds
 
 logger = logging.getLogger("gcd_dataset")

@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 import warp as wp
 
+from gcd_dataset.generator.device import to_host
 from gcd_dataset.generator.drape.body_field import AXES, BodyField, HostField, body_fields
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, NOT_COUNTED

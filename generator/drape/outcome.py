@@ -13,8 +13,8 @@ import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float
 
+from gcd_dataset.generator.device import launch_lock, to_host
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.device import launch_lock, to_host
 from gcd_dataset.generator.drape.holds import fell, find_keepers, off_body
 from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.kernels.place import NOT_COUNTED

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from gcd_dataset.generator.device import to_host
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.kernels import place as kernels
 from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, Placement, VertexState
 from gcd_dataset.generator.drape.kernels.world import DONE

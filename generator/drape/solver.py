@@ -8,8 +8,8 @@ import warp as wp
 from jaxtyping import Bool, Int
 
 from gcd_dataset.errors import DrapeError
+from gcd_dataset.generator.device import launch_lock, native_builds, to_host
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.device import launch_lock, native_builds, to_host
 from gcd_dataset.generator.drape.kernels import contacts, crossing, finish, search, sides, step, stillness
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.loading import load_drape

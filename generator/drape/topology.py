@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 import warp as wp
 
+from gcd_dataset.generator.device import to_host
 from gcd_dataset.generator.drape.config import DrapeJob
-from gcd_dataset.generator.drape.device import to_host
 from gcd_dataset.generator.drape.kernels import rows as row_kernels
 from gcd_dataset.generator.drape.kernels import topology as kernels
 from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Corner, Rows, Spring

@@ -6,9 +6,9 @@ from typing import Self
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.linalg import splu
 
 from gcd_dataset.generator.mesh.triangulate import flat_areas
 from gcd_dataset.records import BoxMesh
@@ -45,14 +45,16 @@ class FlatCloth:
     @cached_property
     def vertices(self) -> Int[np.ndarray, " n"]:
         """The vertices of the faces, in ascending order."""
-        return np.unique(self.faces)
+        used = np.zeros(self.size, bool)
+        used[self.faces] = True
+        return np.flatnonzero(used)
 
     @cached_property
     def edges(self) -> tuple[Int[np.ndarray, "e 2"], Float[np.ndarray, " e"]]:
         """The ends of each edge, and its flat length [cm]; on a seam, the shorter of both lengths."""
         low, high, length = self._sides
-        first = self._key_changes
-        return np.stack([low[first], high[first]], axis=1), length[first]
+        first = np.flatnonzero(self._key_changes)
+        return np.stack([low[first], high[first]], axis=1), np.minimum.reduceat(length, first)
 
     @cached_property
     def border(self) -> Int[np.ndarray, " b"]:
@@ -75,33 +77,48 @@ class FlatCloth:
         Discretised with the cotangent weights of Pinkall and Polthier (Experimental Mathematics 2(1), 1993), at least
         ``LEAST_WEIGHT``. 0 in connected components without fixed vertices.
         """
+        n, row = len(self.vertices), np.full(self.size, -1)
+        row[self.vertices] = np.arange(n)
+        corner, u, v = row[self.faces.T], self.uv[:, :, 0].T, self.uv[:, :, 1].T
         start, end, weight = [], [], []
         for k in range(3):
-            a, b = self.uv[:, (k + 1) % 3] - self.uv[:, k], self.uv[:, (k + 2) % 3] - self.uv[:, k]
-            twice_area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-            start += [self.faces[:, (k + 1) % 3], self.faces[:, (k + 2) % 3]]
-            end += [self.faces[:, (k + 2) % 3], self.faces[:, (k + 1) % 3]]
-            weight += 2 * [np.maximum((a * b).sum(axis=1) / np.maximum(twice_area, 1e-9), LEAST_WEIGHT)]
+            a, b = (k + 1) % 3, (k + 2) % 3
+            au, av, bu, bv = u[a] - u[k], v[a] - v[k], u[b] - u[k], v[b] - v[k]
+            twice_area = np.maximum(np.abs(au * bv - av * bu), 1e-9)
+            weight.append(np.maximum((au * bu + av * bv) / twice_area, LEAST_WEIGHT))
+            start.append(corner[a])
+            end.append(corner[b])
         i, j, w = (np.concatenate(part) for part in (start, end, weight))
-        weights = coo_array((w, (i, j)), shape=(self.size, self.size)).tocsr()
-        _, piece = connected_components(weights, directed=False)
-        bounded = np.isin(piece[self.vertices], piece[fixed])
-        laplacian = diags_array(np.asarray(weights.sum(axis=1)).ravel()).tocsr() - weights
+        total, diagonal = np.bincount(i, w, minlength=n) + np.bincount(j, w, minlength=n), np.arange(n)
+        at = np.concatenate([i, j, diagonal]), np.concatenate([j, i, diagonal])
+        laplacian = csr_array((np.concatenate([-w, -w, total]), at), shape=(n, n))
         result = np.zeros(self.size)
         result[fixed] = values
-        free = np.setdiff1d(self.vertices[bounded], fixed)
+        known = result[self.vertices]
+        is_fixed = np.zeros(self.size, bool)
+        is_fixed[fixed] = True
+        is_fixed = is_fixed[self.vertices]
+        _, piece = connected_components(laplacian, directed=False)
+        bounded = np.zeros(piece.max(initial=0) + 1, bool)
+        bounded[piece[is_fixed]] = True
+        free = np.flatnonzero(bounded[piece] & ~is_fixed)
         if len(free):
             rows = laplacian[free]
-            result[free] = spsolve(rows[:, free].tocsc(), -(rows[:, fixed] @ result[fixed]))
+            # Symmetric and positive definite: no pivots off the diagonal.
+            factors = splu(
+                rows[:, free].tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            )
+            result[self.vertices[free]] = factors.solve(-(rows @ known))
         return result
 
     @cached_property
     def _sides(self) -> tuple[Int[np.ndarray, " s"], Int[np.ndarray, " s"], Float[np.ndarray, " s"]]:
-        """Lower and higher end, and flat length, of the faces' sides: sorted by ends, then by length."""
-        ends = np.concatenate([self.faces[:, [k, (k + 1) % 3]] for k in range(3)])
-        length = np.concatenate([np.linalg.norm(self.uv[:, (k + 1) % 3] - self.uv[:, k], axis=1) for k in range(3)])
-        low, high = np.sort(ends, axis=1).T
-        order = np.lexsort((length, high, low))
+        """Lower and higher end, and flat length, of the faces' sides, sorted by ends."""
+        a, b = self.faces.T.ravel(), self.faces.T[[1, 2, 0]].ravel()
+        u, v = self.uv[:, :, 0].T, self.uv[:, :, 1].T
+        length = np.hypot(u[[1, 2, 0]] - u, v[[1, 2, 0]] - v).ravel()
+        low, high = np.minimum(a, b), np.maximum(a, b)
+        order = np.argsort(low * np.int64(self.size) + high)
         return low[order], high[order], length[order]
 
     @cached_property

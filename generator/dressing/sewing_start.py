@@ -61,7 +61,7 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     for arm, side in arms if bodice else ():
         _fit_between_arms(mesh, roles, arm, side, placed)
     for arm, side in arms if sleeves else ():
-        sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0.0)
+        sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces, 0].sum(axis=1) > 0.0)
         if not roll_round_limb(mesh, sleeve, arm, placed):
             put_on_limb(mesh, sleeve, arm, placed)
     for part, side in ((BodyPart.LEFT_LEG, 1.0), (BodyPart.RIGHT_LEG, -1.0)) if trousers.any() else ():
@@ -158,11 +158,13 @@ def _fit_between_arms(
     Above an armhole without sleeve the compression decreases: the arm must pass above the armhole's lowest point.
     ``side``: 1 for the left side, -1 for the right.
     """
-    sleeve = mesh.faces[(roles == PanelRole.ARM)[mesh.panel_id]]
-    sleeve = sleeve[side * mesh.vertices[sleeve].mean(axis=1)[:, 0] > 0.0]
-    bodice = np.unique(mesh.faces[(roles == PanelRole.BODY)[mesh.panel_id]])
-    bodice = bodice[side * mesh.vertices[bodice, 0] > 0.0]
-    bodice = np.setdiff1d(bodice, sleeve)
+    x, faces = side * mesh.vertices[:, 0], mesh.faces
+    sleeve = faces[(roles == PanelRole.ARM)[mesh.panel_id]]
+    sleeve = sleeve[x[sleeve].sum(axis=1) > 0.0]
+    own = np.zeros(len(x), bool)
+    own[faces[(roles == PanelRole.BODY)[mesh.panel_id]]] = True
+    own[sleeve] = False
+    bodice = np.flatnonzero(own & (x > 0.0))
     bodice = bodice[(placed[bodice] == mesh.vertices[bodice]).all(axis=1)]  # without vertices of a skirt on a cone
     height, reach = mesh.vertices[bodice, 1], side * mesh.vertices[bodice, 0]
     slices, arm_slices = (np.floor(y / SLICE).astype(int) for y in (height, arm.skin[:, 1]))

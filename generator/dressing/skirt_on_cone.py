@@ -51,7 +51,7 @@ class Skirt:
             top &= inside
         if not top.any():
             return None
-        depth = np.bincount(panel, mesh.vertices[faces].mean(axis=1)[:, 2], minlength=len(skirts))
+        depth = np.bincount(panel, mesh.vertices[faces, 2].sum(axis=1), minlength=len(skirts))
         ahead = (depth > 0.0)[panel]
         front, back = np.zeros((2, len(mesh.vertices)), bool)
         front[faces[ahead]] = True
@@ -69,7 +69,7 @@ class Skirt:
         points = self.mesh.vertices[self.cloth.vertices]
         if points[:, 1].max() > self._level + RISE or np.abs(points[:, 0]).max() > HALF_WIDTH:
             return True
-        height, down = self.mesh.vertices[:, 1], self.cloth.distance_from(self.top)
+        height, down = self.mesh.vertices[:, 1], self._down
         for panel in np.unique(self._panel):
             own = np.unique(self.cloth.faces[self._panel == panel])
             first = own[down[own] <= down[own].min() + TOP_BAND]
@@ -87,7 +87,7 @@ class Skirt:
         if not ((self._aside > 0.0).any() and (self._aside < 0.0).any()):
             return
         rows = self.cloth.vertices
-        down = self.cloth.distance_from(self.top)[rows]
+        down = self._down[rows]
         length = float(np.percentile(down, 95))
         if length <= 0.0:
             return
@@ -107,6 +107,11 @@ class Skirt:
         placed[rows, 2] = trunk.origin[2] + forward * (trunk.deep + out) * np.cos(turn)
 
     @cached_property
+    def _down(self) -> Float[np.ndarray, " v"]:
+        """Distance of each vertex from the top along the cloth [cm]."""
+        return self.cloth.distance_from(self.top)
+
+    @cached_property
     def _level(self) -> float:
         """Height of the top [cm]."""
         return float(self.mesh.vertices[self.top, 1].mean())
@@ -118,7 +123,9 @@ class Skirt:
         The side seams of one panel are compared with each other: both seams of nearly a full disc lie above its middle.
         """
         ends, _ = self.cloth.edges
-        ends = ends[np.isin(ends, self.side).all(axis=1)]
+        beside = np.zeros(self.cloth.size, bool)
+        beside[self.side] = True
+        ends = ends[beside[ends].all(axis=1)]
         graph = coo_array((np.ones(len(ends)), ends.T), shape=(self.cloth.size, self.cloth.size))
         _, numbers = connected_components(graph, directed=False)
         seam = np.unique(numbers[self.side], return_inverse=True)[1]

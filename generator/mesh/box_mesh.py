@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.curves import sample_curve, signed_area
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.lattice import lattice_size
 from gcd_dataset.generator.mesh.stitch import (
     MOST_POINTS,
     Border,
@@ -27,7 +26,7 @@ from gcd_dataset.generator.mesh.stitch import (
     seam_name,
     stitch_points,
 )
-from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline, flat_areas
+from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline, flat_areas, lattice_size
 from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern, Seam
 
 SAMPLES = 17  # points of an edge, for the sign of a loop's area
@@ -118,10 +117,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
     faces = vertex[corners]
     proper = proper_faces(faces)  # sewing two corners together collapses a triangle
     _require_faces(faces[proper], vertex, panels, pattern)
-    # Faces begin with their least corner and are sorted: panel by panel, and small when stored.
-    corners = corners[proper]
-    corners = np.take_along_axis(corners, (np.argmin(corners, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
-    corners = corners[np.lexsort(corners.T[::-1])]
+    corners = _in_order(corners[proper])
     return BoxMesh(
         vertices=mean_positions(panels.positions, vertex),
         faces=vertex[corners],
@@ -192,6 +188,18 @@ def _consistent_corners(panels: _MeshedPanels, pattern: Pattern) -> Int[np.ndarr
                 "%s: %s closes a band with one side only: the faces along it have opposite windings", pattern.name, name
             )
     return np.where(turned[panel, None], panels.corners[:, [0, 2, 1]], panels.corners)
+
+
+def _in_order(corners: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
+    """The faces sorted, each from its least corner: panel by panel, and small when stored.
+
+    No two faces share their first two corners in the same order.
+    """
+    a, b, c = np.ascontiguousarray(corners.T)
+    first = np.minimum(np.minimum(a, b), c)
+    second = np.where(a == first, b, np.where(b == first, c, a))
+    order = np.argsort(first * np.int64(second.max(initial=0) + 1) + second)
+    return np.stack([first[order], second[order], (a + b + c - first - second)[order]], axis=1)
 
 
 def _mesh_panel(panel: Panel, border: Border, spacing: float, cache: Fillings) -> Filling:

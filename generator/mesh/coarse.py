@@ -1,8 +1,7 @@
 """Coarse box meshes, and the interpolation from a coarse mesh to the fine one.
 
 A coarse mesh keeps every second point of each border, the same points on both sides of a seam; the inside of each panel
-is triangulated anew. All panels are laid side by side on one lattice and triangulated together: one by one they take
-twice as long. ``rows`` are row numbers of ``BoxMesh.uv``.
+is triangulated anew. ``rows`` are row numbers of ``BoxMesh.uv``.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,12 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.lattice import PITCH, ROW, Grid, Lattice, build_lattice
 from gcd_dataset.generator.mesh.stitch import MOST_POINTS, proper_faces
-from gcd_dataset.generator.mesh.triangulate import Loops, Quality, triangulate_loops
+from gcd_dataset.generator.mesh.triangulate import Quality, lattice_size, triangulator
 from gcd_dataset.records import BoxMesh
 
 STRAIGHT = np.cos(np.radians(25.0))  # border points where the outline turns by more than 25 degrees are kept
@@ -194,68 +191,10 @@ def barycentric(
     return np.stack([1 - second - third, second, third])
 
 
-def locate(
-    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], queries: Float[np.ndarray, "n 2"], cell: float
-) -> Int[np.ndarray, " n"]:
-    """The triangle that holds each query point; for a point outside all of them, the one that it lies least beyond.
-
-    The query points are sorted into square cells of side ``cell``; each triangle is compared with the points in the
-    cells that it may touch.
-    """
-    triangle, point = _near_pairs(points[faces], queries, cell)
-    least = _least(barycentric(points, faces[triangle], queries[point]))
-    found = np.full(len(queries), -1)
-    inside = least >= 0.0
-    found[point[inside]] = triangle[inside]
-    beside = np.flatnonzero((found < 0)[point])
-    beside = beside[np.argsort(least[beside], kind="stable")]
-    found[point[beside]] = triangle[beside]  # assigned in order, so the greatest counts
-    lost = np.flatnonzero(found < 0)
-    if len(lost):
-        found[lost] = cKDTree(points[faces].mean(axis=1)).query(queries[lost])[1]  # the nearest centroid
-    return found
-
-
-def _near_pairs(
-    corners: Float[np.ndarray, "f 3 2"], queries: Float[np.ndarray, "n 2"], cell: float
-) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-    """Pairs of a triangle and a query point in the cells that the triangle's bounding box touches."""
-    if not len(queries):
-        return np.zeros(0, int), np.zeros(0, int)
-    low = queries.min(axis=0)
-    at = np.floor((queries - low) / cell).astype(int)
-    columns, rows = (at.max(axis=0) + 1).tolist()
-    number = at[:, 1] * columns + at[:, 0]
-    order = np.argsort(number, kind="stable")
-    first = np.concatenate([[0], np.cumsum(np.bincount(number, minlength=rows * columns))])
-    x, y = (corners - low).transpose(2, 1, 0) / cell
-    left, right = (np.floor(bound).astype(int) for bound in (_least(x), -_least(-x)))
-    bottom, top = (np.floor(bound).astype(int) for bound in (_least(y), -_least(-y)))
-    left, bottom = np.maximum(left, 0), np.maximum(bottom, 0)
-    right, top = np.minimum(right, columns - 1), np.minimum(top, rows - 1)
-    triangle, row = _runs(bottom, np.where(left <= right, top + 1 - bottom, 0))
-    begin, end = first[row * columns + left[triangle]], first[row * columns + right[triangle] + 1]
-    run, place = _runs(begin, end - begin)
-    return triangle[run], order[place]
-
-
-def _least(values: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, " n"]:
-    return np.minimum(np.minimum(values[0], values[1]), values[2])  # three times as fast as a reduction
-
-
-def _runs(first: Int[np.ndarray, " n"], count: Int[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
-    """For runs of ``count`` consecutive numbers (none if negative), the run of each number, and the number."""
-    count = np.maximum(count, 0)
-    run = np.repeat(np.arange(len(first)), count)
-    return run, np.arange(len(run)) + (first - np.cumsum(count) + count)[run]
-
-
 FEW = 1000  # vertices: a smaller mesh drapes as fast without a coarse start
 TYPICAL = 0.75  # quantile of a border's segments that is its spacing
 COARSE = Quality(longest=1.6, sharpest=float(np.radians(20.0)))  # a tenth of the seeds that the fine mesh's limits add
-MARGIN = 2  # rows and columns of the lattice round each panel
 SMALL, SAMPLE = 200, 4  # a panel of 200 vertices or more is placed by every fourth
-CELL = 0.5  # spacings of the coarse mesh: side of the cells of point location
 
 
 @dataclass(frozen=True)
@@ -290,77 +229,25 @@ def coarsen(mesh: BoxMesh) -> CoarseMesh:
     return _join(mesh, borders, thinned, _fill(mesh, borders, thinned))
 
 
-# --------------------------------------------------------------------------------------------------------------- sheet
-
-
-@dataclass(frozen=True)
-class _Sheet:
-    """The panels laid side by side on one lattice, with a spacing of 1; ``p`` counts the panels that have faces."""
-
-    centre: Float[np.ndarray, "p 2"]  # middle of each panel's bounding box [cm]
-    scale: Float[np.ndarray, "p 2"]
-    """The factors that lay a panel [1/cm]: one over its spacing, and negative along x if its border is clockwise."""
-    place: Float[np.ndarray, "p 2"]  # the lattice point that each centre is laid on
-    grid: Grid  # origin, rows and columns of the lattice
-    left: Float[np.ndarray, " p"]  # where each panel's part of the lattice begins along x, ascending
-
-    @staticmethod
-    def of(loops: Loops) -> "_Sheet":
-        """The sheet of panels with these borders. Raises ``MeshError`` if it takes too many lattice points."""
-        first = np.flatnonzero(np.diff(loops.number, prepend=-1))
-        ahead = loops.points[loops.after]
-        (x, y), (x_ahead, y_ahead) = loops.points.T, ahead.T
-        clockwise = np.add.reduceat(x * y_ahead - y * x_ahead, first) < 0.0
-        length = np.linalg.norm(ahead - loops.points, axis=1)
-        length = length[np.lexsort((length, loops.number))]
-        spacing = length[first + np.rint(TYPICAL * (np.diff(first, append=len(length)) - 1)).astype(int)]
-        low, high = np.minimum.reduceat(loops.points, first), np.maximum.reduceat(loops.points, first)
-        half = np.ceil(0.5 * (high - low) / spacing[:, None] / PITCH / (1.0, ROW)).astype(int) + MARGIN
-        end, middle_row = np.cumsum(2 * half[:, 0] + 1), 2 * int(-(-half[:, 1].max() // 2))  # an unshifted row
-        if (2 * middle_row + 1) * end[-1] > MOST_POINTS:
-            raise MeshError(f"the panels take over {MOST_POINTS:,} lattice points: they cannot be made coarser")
-        return _Sheet(
-            centre=0.5 * (low + high),
-            scale=np.stack([np.where(clockwise, -1.0, 1.0), np.ones(len(spacing))], axis=1) / spacing[:, None],
-            place=PITCH * np.stack([end - half[:, 0] - 1.0, np.full(len(end), ROW * middle_row)], axis=1),
-            grid=(np.zeros(2), (2 * middle_row + 1, int(end[-1]))),
-            left=PITCH * (end - 2 * half[:, 0] - 1.5),
-        )
-
-    def lay(self, points: Float[np.ndarray, "n 2"], panel: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
-        """Points of panels [cm] on the sheet."""
-        shift = self.place - self.centre * self.scale
-        return points * self.scale[panel] + shift[panel]
-
-    def lift(self, laid: Float[np.ndarray, "n 2"], panel: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
-        """Points of the sheet in the planes of their panels [cm]."""
-        return (laid - self.place[panel]) / self.scale[panel] + self.centre[panel]
-
-    def panel_at(self, laid: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
-        """The panel of each point of the sheet."""
-        return np.searchsorted(self.left, laid[:, 0], side="right") - 1
+# ---------------------------------------------------------------------------------------------------------------- fill
 
 
 @dataclass(frozen=True)
 class _Filled:
     """The coarse panels: the kept points of all borders, then seeds panel by panel; ``q`` counts both."""
 
-    panels: Int[np.ndarray, " p"]  # rows of ``panel_names``
+    panels: Int[np.ndarray, " p"]  # rows of ``panel_names``: the panels that have faces
     rows: Int[np.ndarray, " b"]  # the rows of the borders' points in the fine mesh
-    sheet: _Sheet
-    laid: Float[np.ndarray, "q 2"]  # positions on the sheet
-    panel: Int[np.ndarray, " q"]  # row of ``panels``
-    faces: Int[np.ndarray, "f 3"]  # the triangles: of the strip, then of the lattice
-    lattice: Lattice
-
-    def holding(self, laid: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
-        """The triangle that holds each point of the sheet."""
-        in_strip = len(self.faces) - len(self.lattice.faces)
-        found = self.lattice.faces_at(laid)
-        left = found < 0
-        found[~left] += in_strip
-        found[left] = locate(self.laid, self.faces[:in_strip], laid[left], CELL)
-        return found
+    flat: Float[np.ndarray, "q 2"]
+    """Positions in the planes of the panels [cm]."""
+    panel: Int[np.ndarray, " q"]
+    """Row of ``panels``."""
+    faces: Int[np.ndarray, "f 3"]
+    """Panel by panel, counter-clockwise from outside or inside as the borders are."""
+    inner: Int[np.ndarray, " i"]
+    """The fine mesh's rows on no border."""
+    holding: Int[np.ndarray, " i"]
+    """The coarse triangle that holds each of them, or the one that it lies least beyond."""
 
 
 def _fill(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned) -> _Filled:
@@ -368,28 +255,41 @@ def _fill(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned) -> _Filled:
     kept = thinned.kept[mesh.uv_vertex[borders.rows]]
     rows = borders.rows[kept]
     panels, number = np.unique(borders.panel, return_inverse=True)
-    number = number[kept]
-    loops = Loops.numbered(mesh.uv[rows], number)
-    _require_outlines(loops, [mesh.panel_names[panel] for panel in panels])
-    sheet = _Sheet.of(loops)
-    laid = Loops.numbered(sheet.lay(loops.points, number), number)
-    lattice = build_lattice(laid.points, 1.0, after=laid.after, grid=sheet.grid)
-    made = triangulate_loops(laid, 1.0, lattice, COARSE)
-    n = len(rows)
-    panel = np.concatenate([number, sheet.panel_at(made.points[n:])])
-    order = np.argsort(np.where(np.arange(len(panel)) < n, -1, panel), kind="stable")
-    place = np.empty(len(order), int)
-    place[order] = np.arange(len(order))
-    return _Filled(panels, rows, sheet, made.points[order], panel[order], place[made.faces], made.lattice)
+    loops = np.split(rows, np.searchsorted(number[kept], np.arange(1, len(panels))))
+    fine_panel = _panel_of_rows(mesh, panels)
+    fine_panel[borders.rows] = -1
+    inner = np.split(
+        np.argsort(fine_panel, kind="stable"), np.searchsorted(np.sort(fine_panel), np.arange(len(panels)))
+    )
+    flat, panel, faces, holding = [mesh.uv[rows]], [number[kept]], [], []
+    size, own, n_faces = len(rows), 0, 0
+    _require_outlines(mesh, panels, loops)
+    for k, loop in enumerate(loops):
+        border = mesh.uv[loop]
+        # Laid with a spacing of 1 about its middle, mirrored if its border is clockwise.
+        ahead = np.roll(border, -1, axis=0)
+        mirror = 1.0 if (border[:, 0] * ahead[:, 1] - border[:, 1] * ahead[:, 0]).sum() > 0.0 else -1.0
+        length = np.linalg.norm(ahead - border, axis=1)
+        scale = np.array([mirror, 1.0]) / np.sort(length)[round(TYPICAL * (len(length) - 1))]
+        middle = 0.5 * (border.min(axis=0) + border.max(axis=0))
+        laid = (border - middle) * scale
+        if lattice_size(laid, 1.0) > MOST_POINTS:
+            raise MeshError(f"panel {mesh.panel_names[panels[k]]} takes over {MOST_POINTS:,} points")
+        seeds, triangles = triangulator().fill(laid, 1.0, COARSE)
+        flat.append(seeds / scale + middle)
+        panel.append(np.full(len(seeds), k))
+        faces.append(np.where(triangles < len(loop), triangles + own, triangles - len(loop) + size))
+        holding.append(n_faces + triangulator().holding((mesh.uv[inner[k + 1]] - middle) * scale))
+        size, own, n_faces = size + len(seeds), own + len(loop), n_faces + len(triangles)
+    joined = (np.concatenate(parts) for parts in (flat, panel, faces, inner[1:], holding))
+    return _Filled(panels, rows, *joined)
 
 
-def _require_outlines(loops: Loops, names: Sequence[str]) -> None:
-    """Raise ``MeshError`` for a loop of fewer than three points, or one that touches itself."""
-    narrow = np.bincount(loops.number, minlength=len(names)) < 3
-    if not narrow.any():
-        narrow = ~shapely.is_valid(shapely.polygons(shapely.linearrings(loops.points, indices=loops.number)))
-    if narrow.any():
-        raise MeshError(f"panel {names[int(narrow.argmax())]} is too narrow to lose half of its border points")
+def _require_outlines(mesh: BoxMesh, panels: Int[np.ndarray, " p"], loops: Sequence[Int[np.ndarray, " n"]]) -> None:
+    """Raise ``MeshError`` for a border of fewer than three points, or one that touches itself."""
+    for panel, loop in zip(panels, loops, strict=True):
+        if len(loop) < 3 or not shapely.Polygon(mesh.uv[loop]).is_valid:
+            raise MeshError(f"panel {mesh.panel_names[panel]} is too narrow to lose half of its border points")
 
 
 # ---------------------------------------------------------------------------------------------------------------- join
@@ -399,14 +299,12 @@ def _join(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned, filled: _Filled)
     """The coarse panels joined along the seams of the fine mesh: kept vertices first, in their order, then seeds."""
     number = np.cumsum(thinned.kept) - 1
     n, count = len(filled.rows), int(thinned.kept.sum())
-    vertex = np.concatenate([number[mesh.uv_vertex[filled.rows]], np.arange(count, count + len(filled.laid) - n)])
-    seeds, seed_panel = filled.sheet.lift(filled.laid[n:], filled.panel[n:]), filled.panel[n:]
-    fine_panel = _panel_of_rows(mesh, filled.panels)
-    faces = filled.faces[np.argsort(filled.panel[filled.faces[:, 0]], kind="stable")]
-    faces = faces[proper_faces(vertex[faces])]
+    vertex = np.concatenate([number[mesh.uv_vertex[filled.rows]], np.arange(count, count + len(filled.flat) - n)])
+    fine_panel, seeds = _panel_of_rows(mesh, filled.panels), filled.flat[n:]
+    faces = filled.faces[proper_faces(vertex[filled.faces])]
     sewn = mesh.seams[thinned.kept[mesh.seams[:, 0]]]
     coarse = BoxMesh(
-        vertices=np.concatenate([mesh.vertices[thinned.kept], _in_space(mesh, fine_panel, seeds, seed_panel)]),
+        vertices=np.concatenate([mesh.vertices[thinned.kept], _in_space(mesh, fine_panel, seeds, filled.panel[n:])]),
         faces=vertex[faces],
         uv=np.concatenate([mesh.uv[filled.rows], seeds]),
         corners=faces,
@@ -417,7 +315,7 @@ def _join(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned, filled: _Filled)
         seams=np.stack([number[sewn[:, 0]], sewn[:, 1]], axis=1),
         labels={name: number[ids[thinned.kept[ids]]] for name, ids in mesh.labels.items()},
     )
-    return CoarseMesh(coarse, *_interpolation(mesh, borders, thinned, filled, vertex, fine_panel))
+    return CoarseMesh(coarse, *_interpolation(mesh, thinned, filled, vertex))
 
 
 def _panel_of_rows(mesh: BoxMesh, panels: Int[np.ndarray, " p"]) -> Int[np.ndarray, " c"]:
@@ -453,24 +351,15 @@ def _in_space(
 
 
 def _interpolation(
-    mesh: BoxMesh,
-    borders: PanelLoops,
-    thinned: Thinned,
-    filled: _Filled,
-    vertex: Int[np.ndarray, " q"],
-    fine_panel: Int[np.ndarray, " c"],
+    mesh: BoxMesh, thinned: Thinned, filled: _Filled, vertex: Int[np.ndarray, " q"]
 ) -> tuple[Int[np.ndarray, "v 3"], Float[np.ndarray, "v 3"]]:
     """The coarse vertices that each fine vertex is interpolated from, and their weights, none below zero.
 
     Border vertices: a kept one is the coarse vertex itself, a dropped one lies between its kept neighbours.
     """
     number = np.cumsum(thinned.kept) - 1
-    inside = fine_panel >= 0
-    inside[borders.rows] = False
-    rows = np.flatnonzero(inside)
-    laid = filled.sheet.lay(mesh.uv[rows], fine_panel[rows])
-    triangle = filled.faces[filled.holding(laid)]
-    found = barycentric(filled.laid, triangle, laid).T.clip(0.0)
+    rows, triangle = filled.inner, filled.faces[filled.holding]
+    found = barycentric(filled.flat, triangle, mesh.uv[rows]).T.clip(0.0)
     corners, weights = np.zeros((len(mesh.vertices), 3), int), np.zeros((len(mesh.vertices), 3))
     corners[mesh.uv_vertex[rows]] = vertex[triangle]
     weights[mesh.uv_vertex[rows]] = found / found.sum(axis=1, keepdims=True)

@@ -5,8 +5,6 @@ from math import ceil
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.curves import curve_length, sample_curve
 from gcd_dataset.errors import MeshError, PatternError
@@ -130,10 +128,12 @@ def merge_points(sewn: SewnPoints, panel: Int[np.ndarray, " c"], seams: tuple[Se
     free = np.ones(len(panel), bool)
     free[sewn.left] = free[sewn.right] = False
     order = group[np.concatenate([sewn.left, np.flatnonzero(free)])]
-    first = np.empty(group.max() + 1, int)
-    first[order[::-1]] = np.arange(len(order))[::-1]  # written backwards, so each group ends up with its first point
-    vertex = np.empty(len(first), int)
-    vertex[np.argsort(first)] = np.arange(len(first))
+    place = np.arange(len(order))
+    first = np.empty(len(panel), int)
+    first[order[::-1]] = place[::-1]  # written backwards, so each group ends up with its first point
+    begun = order[first[order] == place]
+    vertex = np.empty(len(panel), int)
+    vertex[begun] = np.arange(len(begun))
     return vertex[group]
 
 
@@ -150,9 +150,15 @@ def proper_faces(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
 
 
 def _groups(n: int, a: Int[np.ndarray, " m"], b: Int[np.ndarray, " m"]) -> Int[np.ndarray, " c"]:
-    """The connected component of each of n points under the pairs (a, b)."""
-    _, group = connected_components(coo_array((np.ones(len(a), bool), (a, b)), shape=(n, n)), directed=False)
-    return group.astype(int)
+    """The connected component of each of n points under the pairs (a, b), as the number of its first point."""
+    group = np.arange(n)
+    while len(a):  # a few rounds: chains of seams are short
+        np.minimum.at(group, np.maximum(group[a], group[b]), np.minimum(group[a], group[b]))
+        while ((further := group[group]) != group).any():
+            group = further
+        apart = group[a] != group[b]
+        a, b = a[apart], b[apart]
+    return group
 
 
 def _require_open_seams(group: Int[np.ndarray, " c"], sewn: SewnPoints, seams: tuple[Seam, ...]) -> None:

@@ -72,6 +72,8 @@ class Stroke:
     @property
     def swept_area(self) -> float:
         """Signed area swept by the line from the origin to the stroke, by Green's theorem [cm²]."""
+        if isinstance(self.curve, Line):  # most strokes
+            return 0.5 * _cross(self.start, self.end)
         if isinstance(self.curve, Arc):
             turn = self.length / self.curve.radius
             segment = 0.5 * self.curve.radius**2 * (turn - sin(turn))

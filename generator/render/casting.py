@@ -10,8 +10,8 @@ import warp as wp
 from jaxtyping import Float
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.device import keep_some_memory, launch_lock
 from gcd_dataset.generator.drape import load_kernels, resolve_device
-from gcd_dataset.generator.drape.device import keep_some_memory, launch_lock
 from gcd_dataset.generator.render.environment import EnvironmentKind
 from gcd_dataset.generator.render.geometry import solid_of
 from gcd_dataset.generator.render.images import linear_light

@@ -24,8 +24,8 @@ from jaxtyping import Bool, Float, Float32, Int, Int32
 from scipy.ndimage import gaussian_filter
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.device import launch_lock, to_host
 from gcd_dataset.generator.drape import load_kernels, resolve_device
-from gcd_dataset.generator.drape.device import launch_lock, to_host
 from gcd_dataset.generator.render.cameras import Camera, look_at
 from gcd_dataset.generator.render.figure import vertex_normals
 from gcd_dataset.generator.render.kernels import truths

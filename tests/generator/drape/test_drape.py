@@ -76,7 +76,7 @@ def test_the_threshold_of_rest_rises_in_the_second_half() -> None:
 def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     """Garments move to new batches and continue from coarse drapes."""
     monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", 1)
-    jobs = [on_a_ball(columns) for columns in (8, 5, 7, 6)]
+    jobs = [on_a_ball(columns) for columns in (8, 4, 7, 6)]
     config = DrapeConfig(max_frames=50)
     alone = [drape for job in jobs for _, drape in drape_unordered([job], config, device="cpu", at_once=1)]
     in_turn = dict(drape_unordered(iter(jobs), config, device="cpu", at_once=3))

@@ -14,6 +14,7 @@ import pytest
 import warp as wp
 from warp._src import context
 
+from gcd_dataset.generator import device as devices
 from gcd_dataset.generator.drape import (
     DrapeJob,
     drape_all,
@@ -22,7 +23,6 @@ from gcd_dataset.generator.drape import (
     seconds_per_garment,
     seconds_to_drape,
 )
-from gcd_dataset.generator.drape import device as devices
 from gcd_dataset.generator.drape.kernels import place
 from gcd_dataset.generator.drape.solver import Solver
 from tests.helpers import SIZE, far_ball, patch

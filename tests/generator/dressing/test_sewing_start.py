@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
-from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_start
+from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, LEG_GAP, SLICE, sewing_start
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb, roll_round_limb
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
@@ -240,11 +240,11 @@ def test_trousers_before_a_seated_wearer_start_at_finite_positions() -> None:
 DEPTH = 0.3  # cm under the skin: rounding decides on which side of the skin a cuff lies that touches it
 
 
-def faces_through_limbs(mesh: BoxMesh, vertices: np.ndarray, body: Body) -> dict[str, int]:
-    """The number of edges of the body, ``DEPTH`` under its skin, that pass through each panel."""
+def faces_through_limbs(mesh: BoxMesh, vertices: np.ndarray, body: Body, depth: float) -> dict[str, int]:
+    """The number of edges of the body, ``depth`` under its skin [cm], that pass through each panel."""
     cloth = trimesh.Trimesh(vertices, mesh.faces, process=False)
     skin = trimesh.Trimesh(body.vertices, body.faces, process=False)
-    under, edges = body.vertices - DEPTH * skin.vertex_normals, skin.edges_unique
+    under, edges = body.vertices - depth * skin.vertex_normals, skin.edges_unique
     start = under[edges[:, 0]]
     along = under[edges[:, 1]] - start
     length = np.linalg.norm(along, axis=1)
@@ -267,7 +267,8 @@ def test_cuffs_start_round_their_limbs(index: int, cuff: str) -> None:
     wearer = design.dressed[index % 2]
     assert wearer.start is not None
     assert wearer.coarse is not None
-    through = faces_through_limbs(wearer.coarse.mesh, wearer.start, wearer.body)
+    depth = -LEG_GAP if cuff.startswith("pant") else DEPTH
+    through = faces_through_limbs(wearer.coarse.mesh, wearer.start, wearer.body, depth)
     assert any(name.startswith(cuff) for name in through)
     assert not {name: count for name, count in through.items() if name.startswith(cuff) and count}
 

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 import shapely
-from scipy.spatial import Delaunay, cKDTree
 
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.lattice import PITCH, build_lattice
-from gcd_dataset.generator.mesh.triangulate import LONGEST, Loops, restore_segments, triangulate, triangulate_loops
+from gcd_dataset.generator.mesh.triangulate import LONGEST, triangulate, triangulator
 from tests.generator.mesh.shapes import (
     angles,
     areas,
@@ -53,20 +51,6 @@ def assert_filled_once(border: np.ndarray) -> None:
     n = len(border)
     assert {(u, v) for u, v in once if (v, u) not in once} == {(i, (i + 1) % n) for i in range(n)}
     assert len(np.unique(faces)) == len(points)
-
-
-def test_loops_in_one_plane_are_filled_once_each() -> None:
-    """Of two outlines side by side, with the same lattice, each is filled, and the gap between them is not."""
-    first, second = loop(OUTLINES["dart"], 1.0), loop(OUTLINES["star 3"], 1.0)
-    second = second - second.min(axis=0) + [first[:, 0].max() + 3.0, 0.0]
-    loops = Loops.numbered(np.concatenate([first, second]), np.repeat([0, 1], [len(first), len(second)]))
-    made = triangulate_loops(loops, 1.0, build_lattice(loops.points, 1.0, after=loops.after))
-    once = set(map(tuple, directed_edges(made.faces).tolist()))
-    assert {(u, v) for u, v in once if (v, u) not in once} == set(enumerate(loops.after.tolist()))
-    in_second = made.points[made.faces].mean(axis=1)[:, 0] > first[:, 0].max()
-    for own, border in ((~in_second, first), (in_second, second)):
-        assert areas(made.points, made.faces[own]).sum() == pytest.approx(shapely.Polygon(border).area)
-        assert (areas(made.points, made.faces[own]) > 0.0).all()
 
 
 def assert_delaunay(border: np.ndarray) -> None:
@@ -135,142 +119,55 @@ def test_the_mesh_scales_with_the_outline() -> None:
     assert larger == pytest.approx(2.0 * seeds, abs=1e-9)
 
 
-SLIT = np.array([(0, 0), (6, 0), (6, 2), (2, 2.1), (6, 2.2), (6, 4), (0, 4)], float)
-"""A slit 0.2 cm wide. Its sides are not edges of the Delaunay triangulation: the points across are nearer."""
+def test_a_disc_with_all_points_on_one_circle_is_filled() -> None:
+    """The first point inside lies in the circumcircles of all triangles over the border."""
+    assert_filled_once(circle(200.0, 1.0))
 
 
-def triangles(points: np.ndarray) -> np.ndarray:
-    faces = Delaunay(points).simplices
-    return np.where(areas(points, faces)[:, None] < 0, faces[:, ::-1], faces)
+def test_points_of_the_lattice_are_numbered_row_by_row() -> None:
+    """Rows and places in them ascend: a stored mesh is half as large as with its points in the order of insertion."""
+    seeds, _ = triangulate(loop(rectangle(30.0, 20.0), 1.0), 1.0)
+    lattice = seeds[:500]  # those of the refinement follow all of the lattice
+    assert (np.lexsort((lattice[:, 0], lattice[:, 1].round(6))) == np.arange(500)).all()
 
 
-def loop_of(n: int) -> np.ndarray:
-    """The next point of each on a loop of n points."""
-    return np.roll(np.arange(n), -1)
+def test_a_spike_of_no_width_is_refused() -> None:
+    corners = [(0.0, 0.0), (20, 0), (20, 5), (30, 5 + 1e-11), (20, 5 + 2e-11), (20, 10), (0, 10)]
+    with pytest.raises(MeshError, match=r"the outline touches itself near \(.*\) cm: move its edges apart"):
+        triangulate(loop(corners, 1.0), 1.0)
 
 
-def has_segments(faces: np.ndarray, n: int) -> bool:
-    edges, _ = undirected_edges(faces)
-    loop = np.sort(np.stack([np.arange(n), (np.arange(n) + 1) % n], axis=1), axis=1)
-    return set(map(tuple, loop.tolist())) <= set(map(tuple, edges.tolist()))
+@pytest.mark.parametrize("width", [1e-9, 1e-6, 1e-3])
+def test_a_narrow_slit_is_left_open(width: float) -> None:
+    corners = [(0.0, 0.0), (20, 0), (20, 5), (7, 5 + 0.5 * width), (20, 5 + width), (20, 10), (0, 10)]
+    assert_filled_once(loop(corners, 1.0))
 
 
-def dense_slit(random: np.random.Generator) -> tuple[np.ndarray, int]:
-    """Random points, and a polygon through some of them with sides close to others."""
-    border = SLIT + random.uniform(-0.02, 0.02, SLIT.shape)
-    inside = random.uniform(0.05, 1.9, (40, 2)) * [3.0, 1.0]
-    return np.concatenate([border, inside, inside + [0.0, 2.15]]), len(border)
+def test_a_panel_grows_the_buffers_and_a_small_one_is_filled_in_them_as_before() -> None:
+    small, large = loop(star(1), 1.0), loop(rectangle(200.0, 150.0), 1.0)
+    seeds, faces = triangulate(small, 1.0)
+    assert len(triangulate(large, 1.0)[0]) > 25_000
+    again, same = triangulate(small, 1.0)
+    assert (again == seeds).all()
+    assert (same == faces).all()
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_every_segment_is_an_edge_afterwards(seed: int) -> None:
-    points, n = dense_slit(np.random.default_rng(seed))
-    before = triangles(points)
-    assert not has_segments(before, n)
-    after = restore_segments(points, before, loop_of(n))
-    assert has_segments(after, n)
-    assert (areas(points, after) > 0).all()
-    assert areas(points, after).sum() == pytest.approx(areas(points, before).sum())
-    assert len(np.unique(directed_edges(after), axis=0)) == 3 * len(after)  # no face lies on another
+def test_an_outline_through_its_own_corner_is_refused() -> None:
+    border = np.array([(0, 0), (2, 0), (2, 2), (1, 0), (0, 2)], float)
+    with pytest.raises(MeshError, match="the outline touches itself"):
+        triangulate(border[[0, 1, 2, 4, 3]] * [1.0, -1.0], 1.0)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_all_edges_except_segments_are_delaunay(seed: int) -> None:
-    """The two angles opposite every other edge add up to at most half a turn."""
-    points, n = dense_slit(np.random.default_rng(seed))
-    faces = restore_segments(points, triangles(points), loop_of(n))
-    opposite = {(int(f[k]), int(f[k - 2])): int(f[k - 1]) for f in faces for k in range(3)}
-    for (u, v), apex in opposite.items():
-        if (v, u) in opposite and not (max(u, v) < n and (v - u) % n in (1, n - 1)):
-            assert angle(points, u, apex, v) + angle(points, u, opposite[v, u], v) <= np.pi + 1e-6
-
-
-def angle(points: np.ndarray, a: int, apex: int, b: int) -> float:
-    to_a, to_b = points[a] - points[apex], points[b] - points[apex]
-    return float(np.arccos(to_a @ to_b / np.linalg.norm(to_a) / np.linalg.norm(to_b)))
-
-
-def test_a_triangulation_with_all_segments_is_unchanged() -> None:
-    points = np.array([(0, 0), (2, 0), (2, 1.1), (0, 1)], float)
-    faces = triangles(points)
-    assert restore_segments(points, faces, loop_of(4)) is faces
-
-
-def test_a_point_on_a_segment_is_an_error() -> None:
-    """The outline 0-1-2-3 runs through its own corner 3 on the way from 0 to 1."""
-    points = np.array([(0, 0), (4, 0), (2, 3), (2, 0), (2, -3)], float)
-    with pytest.raises(MeshError, match=r"the outline touches itself near \(0.00, 0.00\) cm"):
-        restore_segments(points, triangles(points), loop_of(4))
-
-
-SPACING = 0.8
-
-
-def test_all_triangles_are_equilateral_and_counter_clockwise() -> None:
-    lattice = build_lattice(circle(12.0, SPACING), SPACING)
-    assert len(lattice.faces) > 500
-    assert sides(lattice.points, lattice.faces) == pytest.approx(PITCH * SPACING)
-    assert areas(lattice.points, lattice.faces) == pytest.approx(np.sqrt(3) / 4 * (PITCH * SPACING) ** 2)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_seeds_lie_inside_and_off_the_border(seed: int) -> None:
-    border = loop(star(seed), SPACING)
-    lattice = build_lattice(border, SPACING)
-    assert shapely.contains_xy(shapely.Polygon(border), *lattice.points.T).all()
-    distance, _ = cKDTree(border).query(lattice.points)
-    assert distance.min() >= 0.6 * PITCH * SPACING
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_filled_triangles_hold_no_other_point_in_their_circles(seed: int) -> None:
-    """The triangles are therefore Delaunay; the border does not cross them either."""
-    border = loop(star(seed), SPACING)
-    lattice = build_lattice(border, SPACING)
-    centres = lattice.points[lattice.faces].mean(axis=1)
-    radius = PITCH * SPACING / np.sqrt(3)
-    nearest, _ = cKDTree(np.concatenate([border, lattice.points])).query(centres)
-    assert nearest.min() > radius * (1 - 1e-9)
-    filled = shapely.union_all(shapely.polygons(lattice.points[lattice.faces]))
-    assert not filled.intersects(shapely.LinearRing(border))
-
-
-def test_covers_is_true_only_in_filled_triangles() -> None:
-    """At random points in and around the panel, and at the centre of each filled triangle."""
-    lattice = build_lattice(loop(star(3), SPACING), SPACING)
-    filled = shapely.union_all(shapely.polygons(lattice.points[lattice.faces])).buffer(1e-9)
-    asked = np.random.default_rng(0).uniform(-30.0, 30.0, (4000, 2))
-    assert np.array_equal(lattice.covers(asked), shapely.contains_xy(filled, *asked.T))
-    assert lattice.covers(lattice.points[lattice.faces].mean(axis=1)).all()
-
-
-def test_points_of_a_face_are_found_in_it() -> None:
-    lattice = build_lattice(loop(star(4), 1.0), 1.0)
-    shares = np.random.default_rng(0).dirichlet(np.ones(3), size=len(lattice.faces))
-    points = np.einsum("fk,fkd->fd", shares, lattice.points[lattice.faces])
-    assert (lattice.faces_at(points) == np.arange(len(lattice.faces))).all()
-    assert (lattice.faces_at(loop(star(4), 1.0)) == -1).all()
-
-
-def test_a_point_removes_the_triangles_with_the_point_in_their_circumcircle() -> None:
-    lattice = build_lattice(loop(rectangle(14.0, 9.0), SPACING), SPACING)
-    points = np.random.default_rng(1).uniform((1.0, 1.0), (13.0, 8.0), (7, 2))
-    left = lattice.without(points)
-    centres = lattice.points[lattice.faces].mean(axis=1)
-    radius = PITCH * SPACING / np.sqrt(3)
-    free = cKDTree(points).query(centres)[0] > radius
-    assert np.array_equal(left.faces, lattice.faces[free])
-
-
-def test_the_rim_has_all_seeds_that_filled_triangles_do_not_surround() -> None:
-    """The filled triangles round a seed off the rim have six outer edges, a closed ring."""
-    lattice = build_lattice(circle(9.0, SPACING), SPACING)
-    edges, faces_of_edge = undirected_edges(lattice.faces)
-    outer = np.unique(edges[faces_of_edge == 1])
-    unused = np.setdiff1d(np.arange(len(lattice.points)), lattice.faces)
-    assert np.array_equal(lattice.rim, np.union1d(outer, unused))
-
-
-def test_a_panel_too_small_for_seeds_has_none() -> None:
-    lattice = build_lattice(loop(rectangle(1.0, 1.0), 1.0), 1.0)
-    assert len(lattice.points) == len(lattice.faces) == len(lattice.rim) == 0
+@pytest.mark.parametrize("seed", range(3))
+def test_each_point_is_found_in_the_triangle_that_holds_it(seed: int) -> None:
+    """Means of three corners with positive weights; a point beside the outline is found in the triangle there."""
+    border, random = loop(star(seed), 1.0), np.random.default_rng(seed)
+    seeds, faces = triangulate(border, 1.0)
+    shares = random.dirichlet(np.ones(3), size=len(faces))
+    inside = np.einsum("fk,fkd->fd", shares, np.concatenate([border, seeds])[faces])
+    order = random.permutation(len(faces))
+    assert (triangulator().holding(inside[order]) == order).all()
+    middle = 0.5 * (border[0] + border[1])
+    outward = (border[1] - border[0])[::-1] * [1.0, -1.0]
+    found = faces[triangulator().holding(middle[None] + 0.01 * outward)[0]]
+    assert {0, 1} <= set(found.tolist())
