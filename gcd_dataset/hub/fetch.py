@@ -142,6 +142,7 @@ class Files:
     def _receive(self, span: Span, take: Take) -> Headers:
         """Pass the bytes to ``take``, and continue after a lost connection; the headers of the last answer."""
         offset, attempts, progress = span.start, 0, time.monotonic()
+        received, since = 0, progress
 
         def counted(piece: bytes, skipped: int = 0) -> None:
             nonlocal offset, received, since

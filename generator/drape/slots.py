@@ -23,6 +23,7 @@ from gcd_dataset.records import BoxMesh
 ALIGNED = 32  # vertices: the rows of as many are interleaved
 WIDTH = 12  # edges of a vertex for which there is room at least
 MIN_FRAMES = 4  # frames of the fine mesh before it may count as at rest
+VERTEX_STATE = ("x", "v", "ahead", "x_seen", "contact_weight", "beside", "tangled", "push")
 THREADS = 256  # that clear one place on a GPU
 
 
@@ -171,7 +172,7 @@ class Slots:
         places = wp.array(placements, dtype=Placement, device=model.device)
         vertices, edges, faces = new.vertices[count - 1].stop, new.edges[count - 1].stop, new.faces[count - 1].stop
         of_vertices = VertexState()
-        for name in VertexState.vars:
+        for name in VERTEX_STATE:
             setattr(of_vertices, name, getattr(state, name))
         self._launch(
             kernels.place_vertices,
