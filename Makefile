@@ -3,7 +3,7 @@
 # make test-extras  install into .venv-extras, then run the recipes of docs/training.md with their frameworks,
 #                   make garments on a Ray cluster of several nodes, read an S3 store, check a Croissant description,
 #                   carry out the examples of CONTRIBUTING.md, run the long tests beside the others,
-#                   try 200 inputs instead of 20 in each test of properties, and import a garment into Blender
+#                   try 60 inputs instead of 20 in each test of properties, and import a garment into Blender
 # make docs         write the documentation into site/
 # make fuzz N=10000  give every reader of files N damaged inputs, and print what came of them
 # make lint         format and lint in place
@@ -36,8 +36,7 @@ test: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(SHARED_OUT) --doctest-modules -m "not long" --ignore tests/extras gcd_dataset tests
 
 test-extras: $(EXTRAS_INSTALLED) $(BLENDER_INSTALLED)
-	OMP_NUM_THREADS=1 $(EXTRAS)/python -m pytest $(SHARED_OUT) tests/extras
-	OMP_NUM_THREADS=1 $(EXTRAS)/python -m pytest $(SHARED_OUT) -m "hypothesis or long" --hypothesis-profile many --ignore tests/extras tests
+	OMP_NUM_THREADS=1 $(EXTRAS)/python -m pytest $(SHARED_OUT) -m "extras or hypothesis or long" --hypothesis-profile many tests
 
 docs: $(DOCS_INSTALLED)
 	$(BIN)/mkdocs build --strict

@@ -39,7 +39,6 @@ FAST: dict[str, Any] = {"lr": 3e-3, "weight_decay": 0.0, "ema": 0.9}
         ("panel_set", False, {"steps": 400, **FAST}, 0.9),
         ("edge_tokens", False, {"steps": 400, **FAST}, 0.9),
         ("picture_set", True, {"steps": 300, "checks": 1}, 0.85),
-        ("picture_parameters", True, {"steps": 300, "checks": 1}, 0.85),
     ],
 )
 def test_the_patterns_of_four_garments(model: str, draped: bool, config: dict[str, Any], least_iou: float) -> None:
