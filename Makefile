@@ -21,6 +21,8 @@ UV := .venv/bin/uv
 INSTALL := $(UV) pip install --quiet
 # Wheels also from where pip is told to look.
 export UV_FIND_LINKS ?= $(PIP_FIND_LINKS)
+# The tests start hundreds of processes, each of which would compile torch, the package and the tests again.
+unexport PYTHONDONTWRITEBYTECODE
 # A process a core, of one thread each; more than eight would have too little memory to themselves.
 SHARED_OUT := --numprocesses logical --maxprocesses 8 --dist worksteal
 

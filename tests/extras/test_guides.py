@@ -35,7 +35,7 @@ SMALLER = {
         "compare FIRST SECOND": "compare scores.json scores.json",
     },
     "guides/train": {"--count 1000": "--count 40", "--resolution 3": "--resolution 8", "EPOCHS = 25": "EPOCHS = 2"},
-    "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 8 --bodies both --resolution 9"},
+    "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 4 --bodies both --resolution 9"},
     "guides/generate": {
         "--count 10000 --seed 7 --bodies both --device cuda:0": "--count 4 --resolution 9 --device cpu --picture 64",
         "designs = 4": "designs = 2",

@@ -1,4 +1,4 @@
-"""Networks of other options learn, several processes make what one makes, and slow figures of single cases: a minute."""
+"""Networks of other options learn, several processes make what one makes, and slow figures of single cases."""
 
 import json
 from argparse import Namespace
