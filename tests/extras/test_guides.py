@@ -38,9 +38,6 @@ SMALLER = {
     "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 4 --bodies both --resolution 9"},
     "guides/generate": {
         "--count 10000 --seed 7 --bodies both --device cuda:0": "--count 4 --resolution 9 --device cpu --picture 64",
-        "designs = 4": "designs = 2",
-        "test = 0.25": "test = 0.5",
-        "train = 0.75": "train = 0.5",
         "resolution = 6.0": "resolution = 9.0",
         'GeneratedGarments(6, cache_dir="kept", fields=fields, resolution=4.0)': (
             'GeneratedGarments(2, cache_dir="kept", fields=fields, resolution=9.0)'
