@@ -52,13 +52,14 @@ def require_refused(loader: Any, message: str) -> None:
 
 Accelerator(cpu=True)
 whole: dict[str, Any] = {"rank": 0, "world_size": 1}
-for workers, options in (
+CASES: list[tuple[int, dict[str, bool]]] = [
     (0, {}),
     (2, {}),
     (0, {"split_batches": True}),
     (2, {"dispatch_batches": True}),
     (0, {"even_batches": False}),
-):
+]
+for workers, options in CASES:
     loader = prepared(sampled(workers, **whole), **options)
     assert len(loader) == N // SIZE // (1 if options.get("split_batches") else 2), (options, len(loader))
     require_each_once(f"{options} {workers}", loader)
