@@ -9,7 +9,7 @@ from hypothesis import settings
 
 # Deterministic and without deadlines; make test-extras takes "many", and --hypothesis-profile=default explores.
 settings.register_profile("same", derandomize=True, deadline=None, max_examples=20)
-settings.register_profile("many", derandomize=True, deadline=None, max_examples=200)
+settings.register_profile("many", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("same")
 
 EXAMPLES = Path(__file__).resolve().parent.parent.parent / "shared" / "examples"

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(not HAS_BLENDER, reason="bpy is not installed: m
 
 @pytest.fixture(scope="module")
 def worn() -> Sample:
-    return make(3, 0, MakeConfig(bodies="neutral", resolution=4.0, points=16, on_fail="keep"))
+    return make(3, 0, MakeConfig(bodies="neutral", resolution=7.0, points=16, on_fail="keep"))
 
 
 def in_blender(program: str, *arguments: object) -> str:

@@ -34,19 +34,20 @@ SMALLER = {
         "FORMAT FILE... --out PREDICTIONS": "specification TRUTH --out imported",
         "compare FIRST SECOND": "compare scores.json scores.json",
     },
-    "guides/train": {"--count 1000": "--count 40", "--resolution 3": "--resolution 6", "EPOCHS = 25": "EPOCHS = 2"},
-    "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 8 --bodies both --resolution 9"},
+    "guides/train": {"--count 1000": "--count 40", "--resolution 3": "--resolution 8", "EPOCHS = 25": "EPOCHS = 2"},
+    "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 4 --bodies both --resolution 9"},
     "guides/generate": {
-        "--count 10000 --seed 7 --bodies both --device cuda:0": "--count 4 --resolution 5 --device cpu --picture 64",
+        "--count 10000 --seed 7 --bodies both --device cuda:0": "--count 4 --resolution 9 --device cpu --picture 64",
+        "resolution = 6.0": "resolution = 9.0",
         'GeneratedGarments(6, cache_dir="kept", fields=fields, resolution=4.0)': (
-            'GeneratedGarments(4, cache_dir="kept", fields=fields, resolution=6.0)'
+            'GeneratedGarments(2, cache_dir="kept", fields=fields, resolution=9.0)'
         ),
     },
-    "guides/own-body": {"--resolution 3": "--resolution 7", "spacing=3.0": "spacing=7.0"},
-    "guides/own-fabric": {"--resolution 3": "--resolution 7", "resolution=3.0": "resolution=7.0"},
-    "guides/own-garment": {"--resolution 2.5": "--resolution 7"},
-    "concepts/drape": {"resolution=3.0": "resolution=7.0"},
-    "concepts/index": {"spacing=3.0": "spacing=7.0"},
+    "guides/own-body": {"--resolution 3": "--resolution 9", "spacing=3.0": "spacing=9.0"},
+    "guides/own-fabric": {"--resolution 3": "--resolution 9", "resolution=3.0": "resolution=9.0"},
+    "guides/own-garment": {"--resolution 2.5": "--resolution 9"},
+    "concepts/drape": {"resolution=3.0": "resolution=9.0"},
+    "concepts/index": {"spacing=3.0": "spacing=9.0"},
     "concepts/sample": {"GeneratedGarments(4, seed=3, resolution=3.0": "GeneratedGarments(2, seed=3, resolution=9.0"},
 }
 """Document to the texts of its blocks that a test replaces: fewer garments, coarser meshes, no GPU."""

@@ -52,11 +52,17 @@ def require_refused(loader: Any, message: str) -> None:
 
 Accelerator(cpu=True)
 whole: dict[str, Any] = {"rank": 0, "world_size": 1}
-for workers in (0, 2):
-    for options in ({}, {"split_batches": True}, {"dispatch_batches": True}, {"even_batches": False}):
-        loader = prepared(sampled(workers, **whole), **options)
-        assert len(loader) == N // SIZE // (1 if options.get("split_batches") else 2), (options, len(loader))
-        require_each_once(f"{options} {workers}", loader)
+CASES: list[tuple[int, dict[str, bool]]] = [
+    (0, {}),
+    (2, {}),
+    (0, {"split_batches": True}),
+    (2, {"dispatch_batches": True}),
+    (0, {"even_batches": False}),
+]
+for workers, options in CASES:
+    loader = prepared(sampled(workers, **whole), **options)
+    assert len(loader) == N // SIZE // (1 if options.get("split_batches") else 2), (options, len(loader))
+    require_each_once(f"{options} {workers}", loader)
 for given in ({}, {"rank": dist.get_rank(), "world_size": 2}):
     require_refused(sampled(**given), "give rank=0, world_size=1")
 require_refused(DataLoader(stream, SIZE, collate_fn=numbers), "streaming=True with 2 processes of accelerate")
