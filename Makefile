@@ -16,9 +16,12 @@ EXTRAS := .venv-extras/bin
 EXTRAS_INSTALLED := .venv-extras/.installed
 BLENDER_INSTALLED := .venv-blender/.installed
 DOCS_INSTALLED := .venv/.installed-docs
-# uv takes half a minute where pip takes six, and links what two environments have in common.
+# uv takes half a minute where pip takes six, and links what two environments have in common; where uv finds no
+# package index, as behind one that only pip knows, pip installs. Arguments: environment, packages.
 UV := .venv/bin/uv
-INSTALL := $(UV) pip install --quiet
+install = $(UV) pip install --quiet --python $(1) $(2) || $(1)/bin/python -m pip install --quiet $(2)
+EXTRAS_OF_PACKAGE := dev,frameworks,ray,croissant,docs,browser,notebooks
+LOCKED := --constraint constraints.txt --editable
 # Wheels also from where pip is told to look.
 export UV_FIND_LINKS ?= $(PIP_FIND_LINKS)
 # The tests start hundreds of processes, each of which would compile torch, the package and the tests again.
@@ -56,22 +59,22 @@ $(UV):
 	$(BIN)/python -m pip install --quiet uv
 
 $(INSTALLED): pyproject.toml constraints.txt | $(UV)
-	$(INSTALL) --python .venv --constraint constraints.txt --editable '.[dev]'
+	$(call install,.venv,$(LOCKED) '.[dev]')
 	touch $@
 
 # Apart from .venv: what frameworks pull in is not to change what the other tests run with.
 $(EXTRAS_INSTALLED): pyproject.toml constraints.txt | $(UV)
 	$(PYTHON) -m venv .venv-extras
-	$(INSTALL) --python .venv-extras --constraint constraints.txt --editable '.[dev,frameworks,ray,croissant,docs,browser,notebooks]'
+	$(call install,.venv-extras,$(LOCKED) '.[$(EXTRAS_OF_PACKAGE)]')
 	touch $@
 
 $(DOCS_INSTALLED): $(INSTALLED)
-	$(INSTALL) --python .venv --constraint constraints.txt --editable '.[docs]'
+	$(call install,.venv,$(LOCKED) '.[docs]')
 	touch $@
 
 # Blender's module wants a NumPy and one version of Python of its own, and a download of 374 MB; its tests are skipped
 # where it does not install.
 $(BLENDER_INSTALLED): | $(UV)
 	$(PYTHON) -m venv .venv-blender
-	$(INSTALL) --python .venv-blender 'bpy>=4.2' && touch $@ \
+	$(UV) pip install --quiet --python .venv-blender 'bpy>=4.2' && touch $@ \
 	  || echo "bpy was not installed: the tests of the import into Blender are skipped; make test-extras tries again"
