@@ -8,7 +8,7 @@ from jaxtyping import Int
 
 from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model
 from gcd_dataset.generator.device import resolve_device
-from gcd_dataset.generator.drape.kernels.crossing import count_self_crossings, find_roots
+from gcd_dataset.generator.drape.kernels.crossing import count_self_crossings
 from gcd_dataset.generator.drape.kernels.world import ClothArrays
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body
@@ -27,13 +27,12 @@ def skin_crossings(body: Body) -> int:
         return wp.array(points, dtype=wp.vec3, device=device)
 
     # The drape's kernel, for one world. Keep a reference to the BVH: its id does not keep it alive.
-    bvh = wp.Bvh(vectors(corners.min(axis=1)), vectors(corners.max(axis=1)), groups=_zeros(len(faces), device))
+    bvh = wp.Bvh(vectors(corners.min(axis=1)), vectors(corners.max(axis=1)))
     cloth = ClothArrays()
     cloth.vertex_world = _zeros(len(body.vertices), device)
     cloth.edges = wp.array(edges, dtype=wp.vec2i, device=device)
     cloth.faces = wp.array(faces, dtype=wp.vec3i, device=device)
-    roots, count = _zeros(1, device), _zeros(1, device)
-    wp.launch(find_roots, dim=1, inputs=[bvh.id], outputs=[roots], device=device)
+    count, roots = _zeros(1, device), wp.full(1, -1, dtype=int, device=device)  # -1: the whole tree
     asked = wp.ones(1, dtype=int, device=device)
     inputs = [cloth, bvh.id, roots, asked, vectors(body.vertices)]
     wp.launch(count_self_crossings, dim=len(edges), inputs=inputs, outputs=[count], device=device)
