@@ -1,8 +1,8 @@
 """Batches of garments: their passes on the device, and the queue of garments that join as others leave.
 
-A garment whose coarse mesh slid off starts its fine pass from the placed panels. A garment that crosses itself or the
-body at rest is draped again, sewn more slowly. The result of a pass depends neither on the time at which it begins nor
-on the other garments in the batch.
+A batch holds its garments in places (``slots``) of fixed buffers. A garment whose coarse mesh slid off starts its fine
+pass from the placed panels. A garment that crosses itself or the body at rest is draped again, sewn more slowly. The
+result of a pass depends neither on the time at which it begins nor on the other garments in the batch.
 """
 
 import contextlib
