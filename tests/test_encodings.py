@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, curve_length, sample_curve
@@ -141,6 +141,9 @@ curves = st.one_of(
 @pytest.mark.parametrize("name", ENCODINGS)
 def test_any_curve_survives_or_keeps_its_ends_and_middle(name: str, curve: Curve) -> None:
     pattern = pair(curve)
+    assume(
+        abs(middle_of(np.zeros(2), np.array([1.0, 0.0]), curve)[1]) > 1e-3
+    )  # with its middle on the chord it is straight
     found = ENCODINGS[name].again(pattern)
     if isinstance(curve, ENCODINGS[name].exact):
         assert_same(found, in_slots(pattern) if name == "sewingldm" else pattern, 1e-5)

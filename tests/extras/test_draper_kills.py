@@ -1,6 +1,5 @@
 """Draping processes that are killed, or whose clients are: each test starts its own."""
 
-import importlib
 import os
 import resource
 import signal
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape import DrapeJob
@@ -102,24 +101,10 @@ def test_more_requests_may_wait_than_the_soft_limit_of_open_files(address: Drape
         assert draper.receive().number in range(150)
 
 
-class WithWarp(Dataset):
-    """The items of a data set, and whether Warp is initialised: with a GPU that takes a CUDA context."""
-
-    def __init__(self, whole: Apart) -> None:
-        self.whole = whole
-
-    def __len__(self) -> int:
-        return len(self.whole)
-
-    def __getitem__(self, index: int) -> Any:
-        return self.whole[index], importlib.import_module("warp._src.context").runtime is not None
-
-
-def test_a_spawned_worker_gets_the_same_drapes_and_initialises_no_warp(address: DraperAddress) -> None:
+def test_a_spawned_worker_gets_the_same_drapes(address: DraperAddress) -> None:
     options: dict[str, Any] = {"num_workers": 1, "multiprocessing_context": "spawn", "collate_fn": collate_list}
-    found = [entry for [entry] in DataLoader(WithWarp(Apart(COUNT, address)), batch_size=1, **options)]
-    assert_all_same([item for item, _ in found], items())
-    assert not any(initialised for _, initialised in found)
+    found = [item for [item] in DataLoader(Apart(COUNT, address), batch_size=1, **options)]
+    assert_all_same(found, items())
 
 
 def test_a_draper_killed_under_a_loader_is_one_error(address: DraperAddress) -> None:

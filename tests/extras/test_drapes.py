@@ -33,7 +33,7 @@ from tests.generator.dressing.test_dressing import bared, pattern_of
 from tests.generator.dressing.test_sewing_start import LEVELS
 
 FOREARM_FROM = 0.45  # share of the way from shoulder to finger tips
-INSTEP = 6.0  # cm
+INSTEP = 6.5  # cm
 UNDER_TOES = 2.0  # cm: without a floor, cloth over the toes may hang back under the sole
 TOES = 10  # cloth edges that may cross toes, which are thinner than the 3 cm spacing
 FULL_SKIRT = GarmentDesign(
