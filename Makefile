@@ -41,7 +41,7 @@ test: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(SHARED_OUT) --doctest-modules -m "not long" --ignore tests/extras gcd_dataset tests
 
 test-extras: $(EXTRAS_INSTALLED) $(BLENDER_INSTALLED)
-	OMP_NUM_THREADS=1 $(EXTRAS)/python -m pytest $(SHARED_OUT) -m "extras or hypothesis or long" --hypothesis-profile many tests
+	OMP_NUM_THREADS=1 $(EXTRAS)/python -m pytest $(SHARED_OUT) -m "extras or hypothesis or long" --hypothesis-profile many --durations 20 tests
 
 docs: $(DOCS_INSTALLED)
 	$(BIN)/mkdocs build --strict
