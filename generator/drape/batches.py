@@ -338,21 +338,29 @@ class Lane:
         self.synchronize()
 
     def _renew(self, new: ClothModel) -> None:
-        """Make the buffers of an empty batch, or larger ones for the garments of ``new`` that wait."""
-        on_cpu = self._device == "cpu"
-        rooms = [room_for(each.job.box_mesh if on_cpu else each.fine.box_mesh) for each in self._waiting]
-        rooms = [max(room, own) for room, own in zip(rooms, rooms_of(new), strict=False)] + rooms[new.n_worlds :]
+        """Make the buffers of an empty batch, or larger ones, for the garments of ``new``: all that wait."""
+        on_cpu, rows = self._device == "cpu", new.rows
+        rooms = [
+            max(own, room_for(each.job.box_mesh if on_cpu else each.fine.box_mesh))
+            for each, own in zip(self._waiting, rooms_of(new), strict=True)
+        ]
         count, spare = (len(rooms), 1.0) if self._pending.ended else (self._size, SPARE)
-        needed = max(int(spare * count * np.mean(rooms)) // ALIGNED * ALIGNED, max(rooms), sum(rooms[: self._size]))
-        old = self._slots
-        if old is not None and not on_cpu and not self._is_crowded and old.room >= needed and old.suits(new):
-            return
-        self._slots = self._status = None  # frees the memory
-        if old is not None and not on_cpu:
-            needed = max(needed, old.room)
-        coupled = bool(new.rows.coupled) or (old is not None and old.coupled)
-        width = max(WIDTH, new.rows.width)
-        self._slots = Slots(needed, self._size, self._config, self._device, width=width, coupled=coupled)
+        room = max(int(spare * count * np.mean(rooms)) // ALIGNED * ALIGNED, sum(rooms))
+        width, coupled = max(WIDTH, rows.width), bool(rows.coupled)
+        if self._slots is not None and not on_cpu:
+            if self._slots.room >= room and self._slots.suits(new):
+                return
+            old = self._slots.solver.model.rows
+            room, width = max(room, self._slots.room), max(width, old.width)
+            coupled = coupled or bool(old.coupled)
+        self.free()
+        self._slots = Slots(room, self._size, self._config, self._device, width=width, coupled=coupled)
+
+    def free(self) -> None:
+        """Free the buffers, once the device has ended the frames in flight."""
+        self.synchronize()
+        self._slots = self._status = None
+        self.synchronize()
 
     def _queue(self, frames: int) -> None:
         """Queue frames, and a copy of the status after them; on a CPU, run them."""
@@ -371,7 +379,7 @@ class Lane:
         self._stream.mark()
 
     def synchronize(self) -> None:
-        """Wait for the device, and free the memory of past batches."""
+        """Wait for the device, and free the memory of dropped arrays."""
         if self._stream is not None:
             self._stream.wait()
 
@@ -416,20 +424,22 @@ def drape_unordered(
     if device != "cpu":
         wp.synchronize_device(device)  # a work stream does not wait for other streams
     with keep_freed_memory(device):
-        while True:
-            if device != "cpu":
-                between()
-            ready = [lane for lane in batches if lane.ready(arrived)]
-            for lane in ready:
-                if lane.replaces(arrived):
-                    for other in batches:
-                        other.queue_ahead()
-                yield from lane.advance(arrived)
-            if all(lane.empty for lane in batches) and (pending.ended or arrived() == 0):
-                break
-            if not ready:
-                time.sleep(POLL_SECONDS)
-        for lane in batches:
-            lane.synchronize()
+        try:
+            while True:
+                if device != "cpu":
+                    between()
+                ready = [lane for lane in batches if lane.ready(arrived)]
+                for lane in ready:
+                    if lane.replaces(arrived):
+                        for other in batches:
+                            other.queue_ahead()
+                    yield from lane.advance(arrived)
+                if all(lane.empty for lane in batches) and (pending.ended or arrived() == 0):
+                    break
+                if not ready:
+                    time.sleep(POLL_SECONDS)
+        finally:
+            for lane in batches:
+                lane.free()
     if pending.error is not None:
         raise pending.error

@@ -6,6 +6,7 @@ implicit step moves whole layers: crossing edges and faces are pushed along the 
 vertices. The positions of garments without self-crossings do not change.
 """
 
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -59,7 +60,8 @@ class _Phase:
 
     def __init__(self, solver: Solver) -> None:
         model, device = solver.model, solver.model.device
-        self._solver, self._parameters = solver, _parameters()
+        self._solver: Solver = weakref.proxy(solver)  # a cycle would keep the buffers of both until a collection
+        self._parameters = _parameters()
         self.active, self._crossings, self._improved, self._least = (
             wp.zeros(model.n_worlds, dtype=int, device=device) for _ in range(4)
         )

@@ -74,7 +74,7 @@ class Slots:
         self, room: int, worlds: int, config: DrapeConfig, device: str, *, width: int = WIDTH, coupled: bool = False
     ) -> None:
         # The first vertices belong to no garment: unused faces and edges lie there.
-        self.room, self.coupled, self._nobody = room, coupled, worlds
+        self.room, self._nobody = room, worlds
         model = empty_model(room + ALIGNED, worlds, width, device, coupled=coupled)
         self.solver = Solver(model, config)
         self.solver.state.status.fill_(DONE)

@@ -1,7 +1,11 @@
 """Whole drapes: outcomes, and independence of batch, order and device sharing."""
 
+import gc
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
+from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 import pytest
@@ -11,11 +15,11 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch
-from gcd_dataset.generator.drape.batches import drape_unordered
+from gcd_dataset.generator.drape.batches import Lane, drape_unordered
 from gcd_dataset.generator.drape.holds import fell, find_keepers, holds, off_body
 from gcd_dataset.generator.drape.kernels.world import RUNNING
-from gcd_dataset.generator.drape.model import build_model
-from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off
+from gcd_dataset.generator.drape.model import ClothModel, build_model
+from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off, untangle
 from gcd_dataset.generator.drape.slots import CoarseEnd, Slots, room_for, rooms_of
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.garments import design_from_dict
@@ -263,6 +267,58 @@ def test_a_batch_gets_larger_buffers_for_a_larger_garment() -> None:
     for number, job in enumerate(jobs):
         [alone] = drape_batch([job], config, device="cpu")
         np.testing.assert_array_equal(given[number].vertices, alone.vertices)
+
+
+@pytest.fixture
+def living(monkeypatch: pytest.MonkeyPatch) -> Iterator[WeakSet[Solver]]:
+    """The solvers that are in memory, without a collection of cycles; none when another is made."""
+    solvers: WeakSet[Solver] = WeakSet()
+
+    def make(model: ClothModel, config: DrapeConfig) -> Solver:
+        assert not solvers
+        solver = Solver(model, config)
+        solvers.add(solver)
+        return solver
+
+    monkeypatch.setattr("gcd_dataset.generator.drape.slots.Solver", make)
+    gc.disable()
+    yield solvers
+    gc.enable()
+
+
+@pytest.mark.parametrize("taken", [1, 4])
+def test_buffers_are_freed_before_larger_ones_are_made_and_at_the_end(
+    living: WeakSet[Solver], taken: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the lane: what is dropped later waits for the next drape on its stream. ``taken``: drapes, all or not all."""
+    events: list[str] = []
+    free = Lane.free
+
+    def making(room: int, *given: Any, **options: Any) -> Slots:
+        events.append("made")
+        return Slots(room, *given, **options)
+
+    def freeing(lane: Lane) -> None:
+        free(lane)
+        events.append("left" if living else "freed")
+
+    monkeypatch.setattr("gcd_dataset.generator.drape.batches.Slots", making)
+    monkeypatch.setattr(Lane, "free", freeing)
+    jobs, config = [on_a_ball(columns) for columns in (4, 4, 9, 4)], DrapeConfig(max_frames=2)
+    drapes = drape_unordered(iter(jobs), config, device="cpu", at_once=2)
+    assert len(list(islice(drapes, taken))) == taken
+    del drapes
+    assert set(events) == {"made", "freed"}
+    assert events[-1] == "freed"
+
+
+def test_untangling_keeps_no_solver_in_memory(living: WeakSet[Solver]) -> None:
+    job, config = on_a_ball(4), DrapeConfig()
+    slots = Slots(room_for(job.box_mesh), 1, config, "cpu")
+    slots.place(build_model([job], config, "cpu"), [None])
+    untangle(slots.solver, np.array([True, False]))
+    del slots
+    assert not living
 
 
 def test_a_band_cut_too_small_is_overstretched() -> None:
