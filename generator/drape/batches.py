@@ -306,10 +306,16 @@ class Lane:
             return {}
         assert self._slots is not None
         state, vertices = self._slots.solver.state, self._slots.solver.model.vertices
-        x, v = wp.clone(state.x), wp.clone(state.v)
         time, held, overfull = (to_host(array) for array in (state.time, state.held, state.contacts.overfull))
         return {
-            w: CoarseEnd(coarse, x, v, vertices[w].start, float(time[w]), int(held[w]), int(overfull[w]))
+            w: CoarseEnd(
+                coarse,
+                wp.clone(state.x[vertices[w]]),
+                wp.clone(state.v[vertices[w]]),
+                time=float(time[w]),
+                held=int(held[w]),
+                overfull=int(overfull[w]),
+            )
             for w in worlds
             if (coarse := self._passes[w].coarse) is not None
         }

@@ -33,11 +33,9 @@ class CoarseEnd:
 
     mesh: CoarseMesh
     x: wp.array
-    """Positions of all garments of the batch [cm]."""
+    """Positions [cm]."""
     v: wp.array
     """Velocities [cm/s]."""
-    first: int
-    """The garment's first vertex in these."""
     time: float
     """[s]"""
     held: int
@@ -188,7 +186,7 @@ class Slots:
 
     def _interpolate(self, start: CoarseEnd, vertices: slice, x: wp.array, v: wp.array) -> None:
         device = self.solver.model.device
-        corners = wp.array((start.mesh.corners + start.first).astype(np.int32), dtype=wp.vec3i, device=device)
+        corners = wp.array(start.mesh.corners.astype(np.int32), dtype=wp.vec3i, device=device)
         weights = wp.array(start.mesh.weights.astype(np.float32), dtype=wp.vec3, device=device)
         inputs = [corners, weights, vertices.start, start.x, start.v]
         self._launch(kernels.interpolate, len(corners), inputs, [x, v])
