@@ -21,7 +21,7 @@ from gcd_dataset.generator.mesh import CoarseMesh
 from gcd_dataset.records import BoxMesh
 
 ALIGNED = 32  # vertices: the rows of as many are interleaved
-WIDTH = 12  # edges of a vertex for which there is room at least
+WIDTH = 12  # edges and faces of a vertex for which there is room at least
 MIN_FRAMES = 4  # frames of the fine mesh before it may count as at rest
 VERTEX_STATE = ("x", "v", "ahead", "x_seen", "contact_weight", "beside", "tangled", "push")
 THREADS = 256  # that clear one place on a GPU
