@@ -21,7 +21,7 @@ from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING
 from gcd_dataset.generator.drape.model import ClothModel, build_model
 from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_worlds
-from gcd_dataset.generator.drape.slots import ALIGNED, WIDTH, CoarseEnd, Slots, room_for, rooms_of
+from gcd_dataset.generator.drape.slots import WIDTH, CoarseEnd, Slots, room_for, rooms_of
 from gcd_dataset.generator.drape.solver import nothing
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
@@ -351,7 +351,7 @@ class Lane:
             for each, own in zip(self._waiting, rooms_of(new), strict=True)
         ]
         count, spare = (len(rooms), 1.0) if self._pending.ended else (self._size, SPARE)
-        room = max(int(spare * count * np.mean(rooms)) // ALIGNED * ALIGNED, sum(rooms))
+        room = max(int(spare * count * np.mean(rooms)), sum(rooms))
         width, coupled = max(WIDTH, rows.width), bool(rows.coupled)
         if self._slots is not None and not on_cpu:
             if self._slots.room >= room and self._slots.suits(new):

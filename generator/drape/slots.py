@@ -17,10 +17,10 @@ from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, Placement, V
 from gcd_dataset.generator.drape.kernels.world import DONE
 from gcd_dataset.generator.drape.model import ClothModel, empty_model
 from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.drape.topology import WARP
 from gcd_dataset.generator.mesh import CoarseMesh
 from gcd_dataset.records import BoxMesh
 
-ALIGNED = 32  # vertices: the rows of as many are interleaved
 WIDTH = 12  # edges and faces of a vertex for which there is room at least
 MIN_FRAMES = 4  # frames of the fine mesh before it may count as at rest
 VERTEX_STATE = ("x", "v", "ahead", "x_seen", "contact_weight", "beside", "tangled", "push")
@@ -62,7 +62,8 @@ def _count(span: slice) -> int:
 
 
 def _aligned(vertices: int) -> int:
-    return -(-vertices // ALIGNED) * ALIGNED
+    """The next multiple of ``WARP``, whose rows are interleaved."""
+    return -(-vertices // WARP) * WARP
 
 
 class Slots:
@@ -71,13 +72,12 @@ class Slots:
     def __init__(
         self, room: int, worlds: int, config: DrapeConfig, device: str, *, width: int = WIDTH, coupled: bool = False
     ) -> None:
-        # The first vertices belong to no garment: unused faces and edges lie there.
+        # The first ``WARP`` vertices belong to no garment: unused faces and edges lie there.
         self.room, self._nobody = room, worlds
-        model = empty_model(room + ALIGNED, worlds, width, device, coupled=coupled)
+        model = empty_model(room + WARP, worlds, width, device, coupled=coupled)
         self.solver = Solver(model, config)
         self.solver.state.status.fill_(DONE)
-        self._config = config
-        self._free = [(ALIGNED, room)]
+        self._free = [(WARP, room)]
         """First vertex and number of vertices of each unused range, in order."""
         self._places: dict[int, tuple[int, int]] = {}
         self._rows = to_host(model.worlds)
