@@ -417,6 +417,15 @@ def test_a_loose_component_falls_alone() -> None:
     assert drape.vertices[0, 1] > 70.0
 
 
+def test_a_row_without_a_face_joins_no_pieces() -> None:
+    """Sewing may collapse the faces of a corner; its row belongs to no panel."""
+    mesh = joined(patch(4, 4, origin=(0.0, 90.0, 0.0)), patch(4, 4, origin=(0.0, -20.0, 0.0)))
+    last = len(mesh.vertices) - 1
+    bare = replace(mesh, uv=np.concatenate([mesh.uv, mesh.uv[-1:]]), uv_vertex=np.append(mesh.uv_vertex, last))
+    assert fell(DrapeJob(mesh, far_ball(), SIZE), mesh.vertices)
+    assert fell(DrapeJob(bare, far_ball(), SIZE), mesh.vertices)
+
+
 def test_cloth_below_the_floor_is_a_fall_unless_it_hangs_from_above() -> None:
     mesh = patch(4, 30, origin=(0.0, -5.0, 0.0))
     assert not fell(DrapeJob(mesh, far_ball(), SIZE), mesh.vertices)
