@@ -116,7 +116,7 @@ class Triangulator:
             self._fill.launch()
         size, count = self._views["size"][:2].tolist()
         if count < 0:
-            x, y = border[-1 - count]
+            x, y = self._views["points"][-1 - count]
             raise MeshError(f"the outline touches itself near ({x:.2f}, {y:.2f}) cm: move its edges apart")
         return self._views["points"][n:size].copy(), self._views["faces"][:count].astype(int)
 

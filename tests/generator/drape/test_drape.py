@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch
+from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, Tensile, drape_all, drape_batch
 from gcd_dataset.generator.drape.batches import Lane, drape_unordered
 from gcd_dataset.generator.drape.holds import fell, find_keepers, holds, off_body
 from gcd_dataset.generator.drape.kernels.world import RUNNING
@@ -77,10 +77,14 @@ def test_the_threshold_of_rest_rises_in_the_second_half() -> None:
     assert (too_fast.outcome, too_fast.frames) == (Outcome.NOT_SETTLED, 60)
 
 
-def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Garments move to new batches and continue from coarse drapes."""
+@pytest.mark.parametrize("grained", [1, 3])
+def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(
+    grained: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Garments continue from coarse drapes. One fabric with a grain: others join it, or it needs other buffers."""
     monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", 1)
     jobs = [on_a_ball(columns) for columns in (8, 4, 7, 6)]
+    jobs[grained] = replace(jobs[grained], fabric=Fabric(tensile=Tensile(60.0, 30.0, 12.0)))
     config = DrapeConfig(max_frames=50)
     alone = [drape for job in jobs for _, drape in drape_unordered([job], config, device="cpu", at_once=1)]
     in_turn = dict(drape_unordered(iter(jobs), config, device="cpu", at_once=3))
