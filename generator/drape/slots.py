@@ -1,7 +1,7 @@
 """Places for garments in the buffers of one solver: garments enter and leave while others drape.
 
 The buffers have a fixed size, so the captured graphs stay valid. A garment takes a range of vertices, and edges and
-faces in proportion; what it gets does not depend on its place.
+faces in proportion; its drape does not depend on its place.
 """
 
 from collections.abc import Sequence
@@ -44,26 +44,24 @@ class CoarseEnd:
 
 
 def room_for(mesh: BoxMesh) -> int:
-    """Vertices of the place that a garment needs, without counting its edges: about as many as vertices and faces."""
+    """Vertices of the place that a garment needs; its edges are estimated: as many as vertices and faces (Euler)."""
     vertices, faces = len(mesh.vertices), len(mesh.faces)
-    return _aligned(max(vertices + 1, -(-faces // int(FACES)), -(-(vertices + faces + 64) // int(EDGES))))
+    return _room(vertices, vertices + faces + 64, faces)
 
 
 def rooms_of(model: ClothModel) -> list[int]:
     """Vertices of the place that each garment of a model takes."""
-    return [
-        _aligned(max(_count(v) + 1, -(-_count(f) // int(FACES)), -(-_count(e) // int(EDGES))))
-        for v, e, f in zip(model.vertices, model.edges, model.faces, strict=True)
-    ]
+    return [_room(*map(_count, spans)) for spans in zip(model.vertices, model.edges, model.faces, strict=True)]
+
+
+def _room(vertices: int, edges: int, faces: int) -> int:
+    """A multiple of ``WARP``, whose rows are interleaved; an empty vertex follows the garment's."""
+    least = max(vertices + 1, -(-edges // int(EDGES)), -(-faces // int(FACES)))
+    return -(-least // WARP) * WARP
 
 
 def _count(span: slice) -> int:
     return int(span.stop - span.start)
-
-
-def _aligned(vertices: int) -> int:
-    """The next multiple of ``WARP``, whose rows are interleaved."""
-    return -(-vertices // WARP) * WARP
 
 
 class Slots:
@@ -73,7 +71,7 @@ class Slots:
         self, room: int, worlds: int, config: DrapeConfig, device: str, *, width: int = WIDTH, coupled: bool = False
     ) -> None:
         # The first ``WARP`` vertices belong to no garment: unused faces and edges lie there.
-        self.room, self._nobody = room, worlds
+        self.room, self._empty_world = room, worlds
         model = empty_model(room + WARP, worlds, width, device, coupled=coupled)
         self.solver = Solver(model, config)
         self.solver.state.status.fill_(DONE)
@@ -99,7 +97,7 @@ class Slots:
         ``new``: the model of these garments. ``starts``: the coarse drape from which each starts, if any.
         """
         worlds: list[int] = []
-        unused = [w for w in range(self._nobody) if w not in self._places]
+        unused = [w for w in range(self._empty_world) if w not in self._places]
         for room, w in zip(rooms_of(new), unused, strict=False):
             taken = self._take(room)
             if taken is None:
@@ -124,7 +122,7 @@ class Slots:
             model.bodies[w] = None
             model.vertices[w] = model.edges[w] = model.faces[w] = slice(0, 0)
         threads = 1 if model.device == "cpu" else THREADS
-        inputs = [wp.array(places, dtype=wp.vec2i, device=model.device), threads, self._nobody]
+        inputs = [wp.array(places, dtype=wp.vec2i, device=model.device), threads, self._empty_world]
         self._launch(kernels.clear_places, (len(places), threads), inputs, [model.cloth, model.face_world])
         self.solver.rebuild_bvh_next()
 
