@@ -256,6 +256,7 @@ class Lane:
             with self._on_stream(urgent=True):
                 return self._collect()
         if self._is_due:
+            self._take_jobs()
             with self._on_stream(urgent=True):
                 self._place()
         if self._passes:
@@ -320,14 +321,16 @@ class Lane:
             if (coarse := self._passes[w].coarse) is not None
         }
 
-    def _place(self) -> None:
-        """Fill the free places of the batch: with passes that wait for one, then with jobs."""
+    def _take_jobs(self) -> None:
+        """Take a job for each free world. Not on the stream: jobs may wait for threads that launch kernels too."""
         self._is_due = False
-        free = self._size - len(self._passes)
-        self._waiting += self._pending.take(free - len(self._waiting))
+        self._waiting += self._pending.take(self._size - len(self._passes) - len(self._waiting))
+
+    def _place(self) -> None:
+        """Fill the free places of the batch with passes that wait for one."""
         if not self._waiting or (self._is_crowded and self._passes):
             return
-        chosen = self._waiting[:free]
+        chosen = self._waiting
         if self._slots is not None and self._passes:
             chosen = chosen[: self._slots.count_fitting([room_for(each.job.box_mesh) for each in chosen])]
         self._is_crowded = len(chosen) < len(self._waiting) and len(self._passes) <= CROWDED * self._size

@@ -2,6 +2,7 @@
 
 import gc
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -14,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.device import launch_lock
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, Tensile, drape_all, drape_batch
 from gcd_dataset.generator.drape.batches import Lane, drape_unordered
 from gcd_dataset.generator.drape.holds import fell, find_keepers, holds, off_body
@@ -92,6 +94,23 @@ def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(
     assert [in_turn[number] for number in range(len(jobs))] == alone
     assert [in_two_batches[number] for number in range(len(jobs))] == alone
     assert len({drape.frames for drape in alone}) > 2  # drapes end at different times
+
+
+def test_jobs_may_wait_for_threads_that_launch_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread that meshes panels launches kernels; a lane on a GPU holds the lock of launches while it works."""
+    monkeypatch.setattr(Lane, "_on_stream", lambda _lane, **_options: launch_lock)
+
+    def launch() -> bool:
+        return launch_lock.acquire(blocking=False) and launch_lock.release() is None
+
+    def jobs(pool: ThreadPoolExecutor) -> Iterator[DrapeJob]:
+        for columns in (4, 5, 4):
+            assert pool.submit(launch).result()
+            yield on_a_ball(columns)
+
+    with ThreadPoolExecutor(1) as pool:
+        drapes = drape_unordered(jobs(pool), DrapeConfig(max_frames=2), device="cpu", at_once=2)
+        assert len(list(drapes)) == 3
 
 
 @pytest.mark.parametrize("at_once", [1, 3])
