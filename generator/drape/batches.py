@@ -225,13 +225,14 @@ class Lane:
     def replaces(self, arrived: Callable[[], int]) -> bool:
         """Whether the next ``advance`` collects or places garments, which takes the host some time.
 
-        Counted as idle: each ended world that a pending job or its garment's fine pass could use, and each unused
-        place in the batch for which a job has arrived.
+        Counted as idle: each ended world that a garment could use (its own in the fine pass, one that waits, or a
+        pending job), and each unused world for which a job has arrived.
         """
         if self._is_due or not self._passes:
             return True
         running = self._running()
-        usable = [w for w, each in self._passes.items() if each.coarse or not self._pending.ended]
+        any_use = bool(self._waiting) or not self._pending.ended
+        usable = [w for w, each in self._passes.items() if each.coarse or any_use]
         idle = sum(not running[w] for w in usable)
         free = min(arrived(), self._size - len(self._passes) - len(self._waiting))
         return not any(running[w] for w in self._passes) or idle + free >= max(1, IDLE * len(self._passes))

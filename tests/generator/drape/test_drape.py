@@ -11,19 +11,20 @@ from weakref import WeakSet
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.device import launch_lock
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, Tensile, drape_all, drape_batch
-from gcd_dataset.generator.drape.batches import Lane, drape_unordered
+from gcd_dataset.generator.drape.batches import Lane, Pass, PendingJobs, drape_unordered, none_arrived
 from gcd_dataset.generator.drape.holds import fell, find_keepers, holds, off_body
-from gcd_dataset.generator.drape.kernels.world import RUNNING
+from gcd_dataset.generator.drape.kernels.world import DONE, RUNNING
 from gcd_dataset.generator.drape.model import ClothModel, build_model
 from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off, untangle
 from gcd_dataset.generator.drape.slots import CoarseEnd, Slots, room_for, rooms_of
-from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.drape.solver import Solver, nothing
 from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.mesh import coarse_start, coarsen
@@ -333,6 +334,18 @@ def test_buffers_are_freed_before_larger_ones_are_made_and_at_the_end(
     del drapes
     assert set(events) == {"made", "freed"}
     assert events[-1] == "freed"
+
+
+def test_the_place_of_an_ended_garment_goes_to_one_that_waits() -> None:
+    """Also after the last job, while others drape."""
+    config = DrapeConfig()
+    lane = Lane(PendingJobs([], config), config, "cpu", size=3, stream=None, between=nothing)
+    lane.advance(none_arrived)
+    lane._passes = {world: Pass.first(world, on_a_ball(4), config) for world in range(2)}
+    lane._status = wp.array([DONE, RUNNING], dtype=int, device="cpu")
+    assert not lane.replaces(none_arrived)
+    lane._waiting = [Pass.first(2, on_a_ball(4), config)]
+    assert lane.replaces(none_arrived)
 
 
 def test_untangling_keeps_no_solver_in_memory(living: WeakSet[Solver]) -> None:
