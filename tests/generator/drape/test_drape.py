@@ -102,7 +102,9 @@ def test_jobs_may_wait_for_threads_that_launch_kernels(monkeypatch: pytest.Monke
     monkeypatch.setattr(Lane, "_on_stream", lambda _lane, **_options: launch_lock)
 
     def launch() -> bool:
-        return launch_lock.acquire(blocking=False) and launch_lock.release() is None
+        if taken := launch_lock.acquire(blocking=False):
+            launch_lock.release()
+        return taken
 
     def jobs(pool: ThreadPoolExecutor) -> Iterator[DrapeJob]:
         for columns in (4, 5, 4):
