@@ -187,7 +187,7 @@ URGENT = -1  # the priority of the default stream is 0, lower numbers come first
 
 
 class WorkStream:
-    """A stream whose work runs beside that of others, with an allocator that defers frees to ``wait``.
+    """A stream and an urgent one, whose work runs beside that of others; their allocator defers frees to ``wait``.
 
     Warp frees an array on CUDA's default stream. Warp's own streams wait for that stream and it for them, so the
     batches of two such streams would wait for each other whenever an array is freed. A ``WorkStream`` does not
@@ -214,7 +214,7 @@ class WorkStream:
             yield
 
     def wait(self) -> None:
-        """Wait until the device has ended this stream's work, then free the arrays that were dropped meanwhile."""
+        """Wait until the device has ended the work of both streams, then free the arrays dropped meanwhile."""
         with launch_lock:
             wp.synchronize_stream(self._stream)
             wp.synchronize_stream(self._urgent)

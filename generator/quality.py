@@ -1,6 +1,7 @@
 """Quality of a drape: principal stretches and grades; points sampled on its surface; estimates of waiting."""
 
 from dataclasses import replace
+from math import ceil, floor
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -70,15 +71,15 @@ def _ends(stretches: Float[np.ndarray, "f 2"], outliers: float) -> tuple[float, 
     """The largest and the smallest stretch, without a share of the faces at either end [%]; 1 without faces."""
     if not len(stretches):
         return 1.0, 1.0
-    return _quantile(stretches[:, 0], 1.0 - outliers / 100.0), _quantile(stretches[:, 1], outliers / 100.0)
+    return quantile(stretches[:, 0], 1.0 - outliers / 100.0), quantile(stretches[:, 1], outliers / 100.0)
 
 
-def _quantile(values: Float[np.ndarray, " n"], share: float) -> float:
-    """``np.quantile``, in a tenth of its time for a few values."""
+def quantile(values: Float[np.ndarray, " n"], share: float) -> float:
+    """``np.quantile``, in a tenth of its time."""
     place = share * (len(values) - 1)
-    low, high = int(place), min(int(place) + 1, len(values) - 1)
+    low, high = floor(place), ceil(place)
     ordered = np.partition(values, (low, high))
-    return float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))
+    return float(ordered[low]) + (place - low) * float(ordered[high] - ordered[low])
 
 
 def grade_of(drape: Drape, strain: Strain | None) -> Grade:

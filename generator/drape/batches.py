@@ -21,7 +21,7 @@ from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING
 from gcd_dataset.generator.drape.model import ClothModel, build_model
 from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_worlds
-from gcd_dataset.generator.drape.slots import ALIGNED, WIDTH, CoarseEnd, Slots, room_for, rooms_of
+from gcd_dataset.generator.drape.slots import WIDTH, CoarseEnd, Slots, room_for, rooms_of
 from gcd_dataset.generator.drape.solver import nothing
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
@@ -225,13 +225,14 @@ class Lane:
     def replaces(self, arrived: Callable[[], int]) -> bool:
         """Whether the next ``advance`` collects or places garments, which takes the host some time.
 
-        Counted as idle: each ended world that a pending job or its garment's fine pass could use, and each unused
-        place in the batch for which a job has arrived.
+        Counted as idle: each ended world that a garment could use (its own in the fine pass, one that waits, or a
+        pending job), and each unused world for which a job has arrived.
         """
         if self._is_due or not self._passes:
             return True
         running = self._running()
-        usable = [w for w, each in self._passes.items() if each.coarse or not self._pending.ended]
+        any_use = bool(self._waiting) or not self._pending.ended
+        usable = [w for w, each in self._passes.items() if each.coarse or any_use]
         idle = sum(not running[w] for w in usable)
         free = min(arrived(), self._size - len(self._passes) - len(self._waiting))
         return not any(running[w] for w in self._passes) or idle + free >= max(1, IDLE * len(self._passes))
@@ -256,6 +257,7 @@ class Lane:
             with self._on_stream(urgent=True):
                 return self._collect()
         if self._is_due:
+            self._take_jobs()
             with self._on_stream(urgent=True):
                 self._place()
         if self._passes:
@@ -306,22 +308,30 @@ class Lane:
             return {}
         assert self._slots is not None
         state, vertices = self._slots.solver.state, self._slots.solver.model.vertices
-        x, v = wp.clone(state.x), wp.clone(state.v)
         time, held, overfull = (to_host(array) for array in (state.time, state.held, state.contacts.overfull))
         return {
-            w: CoarseEnd(coarse, x, v, vertices[w].start, float(time[w]), int(held[w]), int(overfull[w]))
+            w: CoarseEnd(
+                coarse,
+                wp.clone(state.x[vertices[w]]),
+                wp.clone(state.v[vertices[w]]),
+                time=float(time[w]),
+                held=int(held[w]),
+                overfull=int(overfull[w]),
+            )
             for w in worlds
             if (coarse := self._passes[w].coarse) is not None
         }
 
-    def _place(self) -> None:
-        """Fill the free places of the batch: with passes that wait for one, then with jobs."""
+    def _take_jobs(self) -> None:
+        """Take a job for each free world. Not on the stream: jobs may wait for threads that launch kernels too."""
         self._is_due = False
-        free = self._size - len(self._passes)
-        self._waiting += self._pending.take(free - len(self._waiting))
+        self._waiting += self._pending.take(self._size - len(self._passes) - len(self._waiting))
+
+    def _place(self) -> None:
+        """Fill the free places of the batch with passes that wait for one."""
         if not self._waiting or (self._is_crowded and self._passes):
             return
-        chosen = self._waiting[:free]
+        chosen = self._waiting
         if self._slots is not None and self._passes:
             chosen = chosen[: self._slots.count_fitting([room_for(each.job.box_mesh) for each in chosen])]
         self._is_crowded = len(chosen) < len(self._waiting) and len(self._passes) <= CROWDED * self._size
@@ -338,21 +348,29 @@ class Lane:
         self.synchronize()
 
     def _renew(self, new: ClothModel) -> None:
-        """Make the buffers of an empty batch, or larger ones for the garments of ``new`` that wait."""
-        on_cpu = self._device == "cpu"
-        rooms = [room_for(each.job.box_mesh if on_cpu else each.fine.box_mesh) for each in self._waiting]
-        rooms = [max(room, own) for room, own in zip(rooms, rooms_of(new), strict=False)] + rooms[new.n_worlds :]
+        """Make the buffers of an empty batch, or larger ones, for the garments of ``new``: all that wait."""
+        on_cpu, rows = self._device == "cpu", new.rows
+        rooms = [
+            max(own, room_for(each.job.box_mesh if on_cpu else each.fine.box_mesh))
+            for each, own in zip(self._waiting, rooms_of(new), strict=True)
+        ]
         count, spare = (len(rooms), 1.0) if self._pending.ended else (self._size, SPARE)
-        needed = max(int(spare * count * np.mean(rooms)) // ALIGNED * ALIGNED, max(rooms), sum(rooms[: self._size]))
-        old = self._slots
-        if old is not None and not on_cpu and not self._is_crowded and old.room >= needed and old.suits(new):
-            return
-        self._slots = self._status = None  # frees the memory
-        if old is not None and not on_cpu:
-            needed = max(needed, old.room)
-        coupled = bool(new.rows.coupled) or (old is not None and old.coupled)
-        width = max(WIDTH, new.rows.width)
-        self._slots = Slots(needed, self._size, self._config, self._device, width=width, coupled=coupled)
+        room = max(int(spare * count * np.mean(rooms)), sum(rooms))
+        width, coupled = max(WIDTH, rows.width), bool(rows.coupled)
+        if self._slots is not None and not on_cpu:
+            if self._slots.room >= room and self._slots.suits(new):
+                return
+            old = self._slots.solver.model.rows
+            room, width = max(room, self._slots.room), max(width, old.width)
+            coupled = coupled or bool(old.coupled)
+        self.free()
+        self._slots = Slots(room, self._size, self._config, self._device, width=width, coupled=coupled)
+
+    def free(self) -> None:
+        """Free the buffers, once the device has ended the frames in flight."""
+        self.synchronize()
+        self._slots = self._status = None
+        self.synchronize()
 
     def _queue(self, frames: int) -> None:
         """Queue frames, and a copy of the status after them; on a CPU, run them."""
@@ -371,7 +389,7 @@ class Lane:
         self._stream.mark()
 
     def synchronize(self) -> None:
-        """Wait for the device, and free the memory of past batches."""
+        """Wait for the device, and free the memory of dropped arrays."""
         if self._stream is not None:
             self._stream.wait()
 
@@ -416,20 +434,22 @@ def drape_unordered(
     if device != "cpu":
         wp.synchronize_device(device)  # a work stream does not wait for other streams
     with keep_freed_memory(device):
-        while True:
-            if device != "cpu":
-                between()
-            ready = [lane for lane in batches if lane.ready(arrived)]
-            for lane in ready:
-                if lane.replaces(arrived):
-                    for other in batches:
-                        other.queue_ahead()
-                yield from lane.advance(arrived)
-            if all(lane.empty for lane in batches) and (pending.ended or arrived() == 0):
-                break
-            if not ready:
-                time.sleep(POLL_SECONDS)
-        for lane in batches:
-            lane.synchronize()
+        try:
+            while True:
+                if device != "cpu":
+                    between()
+                ready = [lane for lane in batches if lane.ready(arrived)]
+                for lane in ready:
+                    if lane.replaces(arrived):
+                        for other in batches:
+                            other.queue_ahead()
+                    yield from lane.advance(arrived)
+                if all(lane.empty for lane in batches) and (pending.ended or arrived() == 0):
+                    break
+                if not ready:
+                    time.sleep(POLL_SECONDS)
+        finally:
+            for lane in batches:
+                lane.free()
     if pending.error is not None:
         raise pending.error

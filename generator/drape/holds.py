@@ -153,11 +153,11 @@ def fell(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> str:
 
 def _pieces(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
     """The connected component of each vertex: panels that share a vertex belong together."""
-    panel_of_row = _panel_of_row(mesh)
-    panel = np.empty(len(mesh.vertices), int)
-    panel[mesh.uv_vertex] = panel_of_row
+    owner = mesh.panel_id[:, None]
+    panel = np.zeros(len(mesh.vertices), int)
+    panel[mesh.faces] = owner
     shared = np.zeros((len(mesh.panel_names),) * 2, bool)
-    shared[panel[mesh.uv_vertex], panel_of_row] = True
+    shared[panel[mesh.faces], owner] = True
     _, piece = connected_components(shared, directed=False)
     return np.asarray(piece)[panel]
 

@@ -140,8 +140,9 @@ def build_model(
 def empty_model(room: int, worlds: int, width: int, device: str, *, coupled: bool) -> ClothModel:
     """A model without garments, with room for ``room`` vertices in ``worlds`` worlds; its last world stays empty.
 
-    ``width``: most edges of a vertex. ``coupled``: with room for the corners that fabrics with a grain need. All
-    vertices belong to the last world, and each face to one of its own; all faces and edges have their ends in vertex 0.
+    ``width``: most edges, or faces, of a vertex. ``coupled``: with room for the corners that fabrics with a grain need.
+    All vertices belong to the last world, and each face to one of its own; all faces and edges have their ends in
+    vertex 0.
     """
     make = partial(_zeros, device)
     cloth, edges, faces = ClothArrays(), int(EDGES) * room, int(FACES) * room

@@ -1,7 +1,7 @@
 """Places for garments in the buffers of one solver: garments enter and leave while others drape.
 
 The buffers have a fixed size, so the captured graphs stay valid. A garment takes a range of vertices, and edges and
-faces in proportion; what it gets does not depend on its place.
+faces in proportion; its drape does not depend on its place.
 """
 
 from collections.abc import Sequence
@@ -17,11 +17,11 @@ from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, Placement, V
 from gcd_dataset.generator.drape.kernels.world import DONE
 from gcd_dataset.generator.drape.model import ClothModel, empty_model
 from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.drape.topology import WARP
 from gcd_dataset.generator.mesh import CoarseMesh
 from gcd_dataset.records import BoxMesh
 
-ALIGNED = 32  # vertices: the rows of as many are interleaved
-WIDTH = 12  # edges of a vertex for which there is room at least
+WIDTH = 12  # edges and faces of a vertex for which there is room at least
 MIN_FRAMES = 4  # frames of the fine mesh before it may count as at rest
 VERTEX_STATE = ("x", "v", "ahead", "x_seen", "contact_weight", "beside", "tangled", "push")
 THREADS = 256  # that clear one place on a GPU
@@ -33,11 +33,9 @@ class CoarseEnd:
 
     mesh: CoarseMesh
     x: wp.array
-    """Positions of all garments of the batch [cm]."""
+    """Positions [cm]."""
     v: wp.array
     """Velocities [cm/s]."""
-    first: int
-    """The garment's first vertex in these."""
     time: float
     """[s]"""
     held: int
@@ -46,25 +44,24 @@ class CoarseEnd:
 
 
 def room_for(mesh: BoxMesh) -> int:
-    """Vertices of the place that a garment needs, without counting its edges: about as many as vertices and faces."""
+    """Vertices of the place that a garment needs; its edges are estimated: as many as vertices and faces (Euler)."""
     vertices, faces = len(mesh.vertices), len(mesh.faces)
-    return _aligned(max(vertices + 1, -(-faces // int(FACES)), -(-(vertices + faces + 64) // int(EDGES))))
+    return _room(vertices, vertices + faces + 64, faces)
 
 
 def rooms_of(model: ClothModel) -> list[int]:
     """Vertices of the place that each garment of a model takes."""
-    return [
-        _aligned(max(_count(v) + 1, -(-_count(f) // int(FACES)), -(-_count(e) // int(EDGES))))
-        for v, e, f in zip(model.vertices, model.edges, model.faces, strict=True)
-    ]
+    return [_room(*map(_count, spans)) for spans in zip(model.vertices, model.edges, model.faces, strict=True)]
+
+
+def _room(vertices: int, edges: int, faces: int) -> int:
+    """A multiple of ``WARP``, whose rows are interleaved; an empty vertex follows the garment's."""
+    least = max(vertices + 1, -(-edges // int(EDGES)), -(-faces // int(FACES)))
+    return -(-least // WARP) * WARP
 
 
 def _count(span: slice) -> int:
     return int(span.stop - span.start)
-
-
-def _aligned(vertices: int) -> int:
-    return -(-vertices // ALIGNED) * ALIGNED
 
 
 class Slots:
@@ -73,13 +70,12 @@ class Slots:
     def __init__(
         self, room: int, worlds: int, config: DrapeConfig, device: str, *, width: int = WIDTH, coupled: bool = False
     ) -> None:
-        # The first vertices belong to no garment: unused faces and edges lie there.
-        self.room, self.coupled, self._nobody = room, coupled, worlds
-        model = empty_model(room + ALIGNED, worlds, width, device, coupled=coupled)
+        # The first ``WARP`` vertices belong to no garment: unused faces and edges lie there.
+        self.room, self._empty_world = room, worlds
+        model = empty_model(room + WARP, worlds, width, device, coupled=coupled)
         self.solver = Solver(model, config)
         self.solver.state.status.fill_(DONE)
-        self._config = config
-        self._free = [(ALIGNED, room)]
+        self._free = [(WARP, room)]
         """First vertex and number of vertices of each unused range, in order."""
         self._places: dict[int, tuple[int, int]] = {}
         self._rows = to_host(model.worlds)
@@ -101,7 +97,7 @@ class Slots:
         ``new``: the model of these garments. ``starts``: the coarse drape from which each starts, if any.
         """
         worlds: list[int] = []
-        unused = [w for w in range(self._nobody) if w not in self._places]
+        unused = [w for w in range(self._empty_world) if w not in self._places]
         for room, w in zip(rooms_of(new), unused, strict=False):
             taken = self._take(room)
             if taken is None:
@@ -126,7 +122,7 @@ class Slots:
             model.bodies[w] = None
             model.vertices[w] = model.edges[w] = model.faces[w] = slice(0, 0)
         threads = 1 if model.device == "cpu" else THREADS
-        inputs = [wp.array(places, dtype=wp.vec2i, device=model.device), threads, self._nobody]
+        inputs = [wp.array(places, dtype=wp.vec2i, device=model.device), threads, self._empty_world]
         self._launch(kernels.clear_places, (len(places), threads), inputs, [model.cloth, model.face_world])
         self.solver.rebuild_bvh_next()
 
@@ -188,7 +184,7 @@ class Slots:
 
     def _interpolate(self, start: CoarseEnd, vertices: slice, x: wp.array, v: wp.array) -> None:
         device = self.solver.model.device
-        corners = wp.array((start.mesh.corners + start.first).astype(np.int32), dtype=wp.vec3i, device=device)
+        corners = wp.array(start.mesh.corners.astype(np.int32), dtype=wp.vec3i, device=device)
         weights = wp.array(start.mesh.weights.astype(np.float32), dtype=wp.vec3, device=device)
         inputs = [corners, weights, vertices.start, start.x, start.v]
         self._launch(kernels.interpolate, len(corners), inputs, [x, v])

@@ -144,9 +144,8 @@ class _MeshBatch:
 
     def rows(self, surface: kernels.ClothSurface, *, coupled: bool) -> Rows:
         """Uninitialised rows for all vertices; ``coupled``: with the corners that fabrics with a grain need."""
-        widest = int(np.diff(to_host(surface.first_edge)).max())
-        if coupled:
-            widest = max(widest, int(np.diff(to_host(surface.first_face)).max()))
+        # More faces than edges, and a bend for each face, where more than two panels meet.
+        widest = max(int(np.diff(to_host(first)).max()) for first in (surface.first_edge, surface.first_face))
         return empty_rows(int(self.vertices[-1]), widest, self.device, coupled=coupled)
 
     def marked(self, vertices: Sequence[np.ndarray]) -> wp.array:
@@ -176,7 +175,7 @@ class _MeshBatch:
 
 
 def empty_rows(n: int, width: int, device: str, *, coupled: bool) -> Rows:
-    """Uninitialised rows of ``n`` vertices with up to ``width`` edges; ``coupled``: with corners."""
+    """Uninitialised rows of ``n`` vertices with up to ``width`` edges and faces each; ``coupled``: with corners."""
     empty = partial(wp.empty, device=device)
     rows = Rows()
     rows.count, rows.bend_diagonal = empty(n, dtype=wp.vec2i), empty(n, dtype=float)

@@ -98,34 +98,36 @@ class Triangulator:
     """Fills outlines, one after the other, in buffers that it keeps."""
 
     def __init__(self) -> None:
-        from gcd_dataset.generator.device import load_kernels  # not before the first panel: imports Warp
+        from gcd_dataset.generator.device import launch_lock, load_kernels  # not before the first panel: imports Warp
         from gcd_dataset.generator.mesh import filling
 
         load_kernels("meshes", filling, device="cpu")
-        self._kernels = filling
+        self._kernels, self._lock = filling, launch_lock
         self._room = (0, 0)
 
     def fill(self, border: Float[np.ndarray, "n 2"], spacing: float, quality: Quality = FINE) -> Filling:
         """As ``triangulate``."""
         n, (origin, rows, columns) = len(border), _lattice(border, spacing)
-        self._make_room(2 * n + rows * columns, rows * columns)
-        self._views["points"][:n] = border
-        self._views["size"][:] = n, rows, columns, rows, 0
-        self._views["option"][:] = *origin, spacing, quality.longest, quality.sharpest
-        self._fill.launch()
+        with self._lock:
+            self._make_room(2 * n + rows * columns, rows * columns)
+            self._views["points"][:n] = border
+            self._views["size"][:] = n, rows, columns, rows, 0
+            self._views["option"][:] = *origin, spacing, quality.longest, quality.sharpest
+            self._fill.launch()
         size, count = self._views["size"][:2].tolist()
         if count < 0:
-            x, y = border[-1 - count]
+            x, y = self._views["points"][-1 - count]
             raise MeshError(f"the outline touches itself near ({x:.2f}, {y:.2f}) cm: move its edges apart")
         return self._views["points"][n:size].copy(), self._views["faces"][:count].astype(int)
 
     def holding(self, queries: Float[np.ndarray, "k 2"]) -> Int[np.ndarray, " k"]:
         """The triangle of the last outline that holds each point, or the one that it lies least beyond."""
-        if len(queries) > len(self._asked):
-            self._make_room_for_queries(int(ROOM * len(queries)))
-        self._asked[: len(queries)] = queries
-        self._views["size"][4] = len(queries)
-        self._find.launch()
+        with self._lock:
+            if len(queries) > len(self._asked):
+                self._make_room_for_queries(int(ROOM * len(queries)))
+            self._asked[: len(queries)] = queries
+            self._views["size"][4] = len(queries)
+            self._find.launch()
         return self._found[: len(queries)].astype(int)
 
     def _make_room(self, points: int, cells: int) -> None:

@@ -264,9 +264,6 @@ def count_body_crossings(
         wp.atomic_add(crossings, w, 1)
 
 
-wp.set_module_options({"enable_backward": False})
-
-
 @wp.kernel
 def bound_faces(
     cloth: ClothArrays,

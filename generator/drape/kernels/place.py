@@ -226,7 +226,7 @@ def place_worlds(
 def clear_places(
     places: wp.array(dtype=wp.vec2i),
     threads: int,
-    nobody: int,
+    empty_world: int,
     # model out
     cloth: ClothArrays,
     face_world: wp.array(dtype=int),
@@ -236,9 +236,9 @@ def clear_places(
     first = places[place][0]
     end = first + places[place][1]
     for i in range(first + thread, end, threads):
-        cloth.vertex_world[i] = nobody
+        cloth.vertex_world[i] = empty_world
     for f in range(FACES * first + thread, FACES * end, threads):
         cloth.faces[f] = wp.vec3i(0, 0, 0)
-        face_world[f] = nobody + f  # a group of its own in the BVH: equal boxes of a group would become a list
+        face_world[f] = empty_world + f  # its own group in the BVH: with equal boxes in a group the tree is a list
     for e in range(EDGES * first + thread, EDGES * end, threads):
         cloth.edges[e] = wp.vec2i(0, 0)

@@ -1,23 +1,30 @@
 """Whole drapes: outcomes, and independence of batch, order and device sharing."""
 
+import gc
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import islice
+from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch
-from gcd_dataset.generator.drape.batches import drape_unordered
+from gcd_dataset.generator.device import launch_lock
+from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, Tensile, drape_all, drape_batch
+from gcd_dataset.generator.drape.batches import Lane, Pass, PendingJobs, drape_unordered, none_arrived
 from gcd_dataset.generator.drape.holds import fell, find_keepers, holds, off_body
-from gcd_dataset.generator.drape.kernels.world import RUNNING
-from gcd_dataset.generator.drape.model import build_model
-from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off
+from gcd_dataset.generator.drape.kernels.world import DONE, RUNNING
+from gcd_dataset.generator.drape.model import ClothModel, build_model
+from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off, untangle
 from gcd_dataset.generator.drape.slots import CoarseEnd, Slots, room_for, rooms_of
-from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.drape.solver import Solver, nothing
 from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.mesh import coarse_start, coarsen
@@ -73,10 +80,14 @@ def test_the_threshold_of_rest_rises_in_the_second_half() -> None:
     assert (too_fast.outcome, too_fast.frames) == (Outcome.NOT_SETTLED, 60)
 
 
-def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Garments move to new batches and continue from coarse drapes."""
+@pytest.mark.parametrize("grained", [1, 3])
+def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(
+    grained: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Garments continue from coarse drapes. One fabric with a grain: others join it, or it needs other buffers."""
     monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", 1)
     jobs = [on_a_ball(columns) for columns in (8, 4, 7, 6)]
+    jobs[grained] = replace(jobs[grained], fabric=Fabric(tensile=Tensile(60.0, 30.0, 12.0)))
     config = DrapeConfig(max_frames=50)
     alone = [drape for job in jobs for _, drape in drape_unordered([job], config, device="cpu", at_once=1)]
     in_turn = dict(drape_unordered(iter(jobs), config, device="cpu", at_once=3))
@@ -84,6 +95,25 @@ def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(monkey
     assert [in_turn[number] for number in range(len(jobs))] == alone
     assert [in_two_batches[number] for number in range(len(jobs))] == alone
     assert len({drape.frames for drape in alone}) > 2  # drapes end at different times
+
+
+def test_jobs_may_wait_for_threads_that_launch_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread that meshes panels launches kernels; a lane on a GPU holds the lock of launches while it works."""
+    monkeypatch.setattr(Lane, "_on_stream", lambda _lane, **_options: launch_lock)
+
+    def launch() -> bool:
+        if taken := launch_lock.acquire(blocking=False):
+            launch_lock.release()
+        return taken
+
+    def jobs(pool: ThreadPoolExecutor) -> Iterator[DrapeJob]:
+        for columns in (4, 5, 4):
+            assert pool.submit(launch).result()
+            yield on_a_ball(columns)
+
+    with ThreadPoolExecutor(1) as pool:
+        drapes = drape_unordered(jobs(pool), DrapeConfig(max_frames=2), device="cpu", at_once=2)
+        assert len(list(drapes)) == 3
 
 
 @pytest.mark.parametrize("at_once", [1, 3])
@@ -215,7 +245,7 @@ def test_an_overfull_contact_list_of_the_coarse_pass_is_reported() -> None:
     job, config = on_a_ball(9), DrapeConfig()
     coarse = coarsen(job.box_mesh)
     first = Solver(build_model([replace(job, box_mesh=coarse.mesh)], config, "cpu", coarse=[0]), config)
-    end = CoarseEnd(coarse, first.state.x, first.state.v, first=0, time=0.0, held=1, overfull=1)
+    end = CoarseEnd(coarse, first.state.x, first.state.v, time=0.0, held=1, overfull=1)
     slots = Slots(room_for(job.box_mesh), 1, config, "cpu")
     assert slots.place(build_model([job], config, "cpu"), [end]) == [0]
     [drape] = collect(slots.solver, [job], [0])
@@ -263,6 +293,70 @@ def test_a_batch_gets_larger_buffers_for_a_larger_garment() -> None:
     for number, job in enumerate(jobs):
         [alone] = drape_batch([job], config, device="cpu")
         np.testing.assert_array_equal(given[number].vertices, alone.vertices)
+
+
+@pytest.fixture
+def living(monkeypatch: pytest.MonkeyPatch) -> Iterator[WeakSet[Solver]]:
+    """The solvers that are in memory, without a collection of cycles; none when another is made."""
+    solvers: WeakSet[Solver] = WeakSet()
+
+    def make(model: ClothModel, config: DrapeConfig) -> Solver:
+        assert not solvers
+        solver = Solver(model, config)
+        solvers.add(solver)
+        return solver
+
+    monkeypatch.setattr("gcd_dataset.generator.drape.slots.Solver", make)
+    gc.disable()
+    yield solvers
+    gc.enable()
+
+
+@pytest.mark.parametrize("taken", [1, 4])
+def test_buffers_are_freed_before_larger_ones_are_made_and_at_the_end(
+    living: WeakSet[Solver], taken: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the lane: what is dropped later waits for the next drape on its stream. ``taken``: drapes, all or not all."""
+    events: list[str] = []
+    free = Lane.free
+
+    def making(room: int, *given: Any, **options: Any) -> Slots:
+        events.append("made")
+        return Slots(room, *given, **options)
+
+    def freeing(lane: Lane) -> None:
+        free(lane)
+        events.append("left" if living else "freed")
+
+    monkeypatch.setattr("gcd_dataset.generator.drape.batches.Slots", making)
+    monkeypatch.setattr(Lane, "free", freeing)
+    jobs, config = [on_a_ball(columns) for columns in (4, 4, 9, 4)], DrapeConfig(max_frames=2)
+    drapes = drape_unordered(iter(jobs), config, device="cpu", at_once=2)
+    assert len(list(islice(drapes, taken))) == taken
+    del drapes
+    assert set(events) == {"made", "freed"}
+    assert events[-1] == "freed"
+
+
+def test_the_place_of_an_ended_garment_goes_to_one_that_waits() -> None:
+    """Also after the last job, while others drape."""
+    config = DrapeConfig()
+    lane = Lane(PendingJobs([], config), config, "cpu", size=3, stream=None, between=nothing)
+    lane.advance(none_arrived)
+    lane._passes = {world: Pass.first(world, on_a_ball(4), config) for world in range(2)}
+    lane._status = wp.array([DONE, RUNNING], dtype=int, device="cpu")
+    assert not lane.replaces(none_arrived)
+    lane._waiting = [Pass.first(2, on_a_ball(4), config)]
+    assert lane.replaces(none_arrived)
+
+
+def test_untangling_keeps_no_solver_in_memory(living: WeakSet[Solver]) -> None:
+    job, config = on_a_ball(4), DrapeConfig()
+    slots = Slots(room_for(job.box_mesh), 1, config, "cpu")
+    slots.place(build_model([job], config, "cpu"), [None])
+    untangle(slots.solver, np.array([True, False]))
+    del slots
+    assert not living
 
 
 def test_a_band_cut_too_small_is_overstretched() -> None:
@@ -359,6 +453,15 @@ def test_a_loose_component_falls_alone() -> None:
     [drape] = drape_batch([on_a_table(joined(SHEET, scrap))], DrapeConfig(max_frames=100), device="cpu")
     assert drape.outcome is Outcome.FELL
     assert drape.vertices[0, 1] > 70.0
+
+
+def test_a_row_without_a_face_joins_no_pieces() -> None:
+    """Sewing may collapse the faces of a corner; its row belongs to no panel."""
+    mesh = joined(patch(4, 4, origin=(0.0, 90.0, 0.0)), patch(4, 4, origin=(0.0, -20.0, 0.0)))
+    last = len(mesh.vertices) - 1
+    bare = replace(mesh, uv=np.concatenate([mesh.uv, mesh.uv[-1:]]), uv_vertex=np.append(mesh.uv_vertex, last))
+    assert fell(DrapeJob(mesh, far_ball(), SIZE), mesh.vertices)
+    assert fell(DrapeJob(bare, far_ball(), SIZE), mesh.vertices)
 
 
 def test_cloth_below_the_floor_is_a_fall_unless_it_hangs_from_above() -> None:

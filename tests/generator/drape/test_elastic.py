@@ -109,12 +109,14 @@ def test_force_is_the_negative_gradient_of_the_energy(fabric: Fabric) -> None:
 
 
 @fabrics
-def test_three_sheets_sewn_along_one_edge_follow_their_energy(fabric: Fabric) -> None:
-    """The first two faces of an edge with three form its hinge; all three add to its spring."""
+@pytest.mark.parametrize("sheets", [3, 5])
+def test_sheets_sewn_along_one_edge_follow_their_energy(sheets: int, fabric: Fabric) -> None:
+    """The first two faces of an edge form its hinge; all add to its spring. A vertex has more faces than edges."""
     rng = np.random.default_rng(6)
-    sheet = patch(2, 1, spacing=1.2)
-    others = [np.where(sheet.faces > 2, sheet.faces + shift, sheet.faces) for shift in (0, 3, 6)]
-    flat = np.concatenate([sheet.uv, *(sheet.uv[3:] for _ in range(2))])
+    sheet = patch(4, 2, spacing=1.2)
+    n = len(sheet.uv) - 5
+    others = [np.where(sheet.faces > 4, sheet.faces + k * n, sheet.faces) for k in range(sheets)]
+    flat = np.concatenate([sheet.uv, *(sheet.uv[5:] for _ in range(sheets - 1))])
     book = replace(
         sheet,
         vertices=np.pad(flat, ((0, 0), (0, 1))),
@@ -122,9 +124,9 @@ def test_three_sheets_sewn_along_one_edge_follow_their_energy(fabric: Fabric) ->
         uv=flat,
         corners=np.concatenate(others),
         uv_vertex=np.arange(len(flat)),
-        panel_id=np.repeat([0, 1, 2], len(sheet.faces)),
-        panel_names=("one", "two", "three"),
-        panel_labels=("", "", ""),
+        panel_id=np.repeat(np.arange(sheets), len(sheet.faces)),
+        panel_names=tuple("abcde"[:sheets]),
+        panel_labels=("",) * sheets,
     )
     model = build_model([DrapeJob(book, far_ball(), SIZE, fabric)], STILL_AIR, "cpu")
     x = np.asarray(book.vertices + 0.2 * rng.standard_normal(book.vertices.shape))

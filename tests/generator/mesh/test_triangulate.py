@@ -1,10 +1,13 @@
 """The lattice inside a panel, triangulations, and edge flips."""
 
+from concurrent.futures import ThreadPoolExecutor, wait
+
 import numpy as np
 import pytest
 import shapely
 
 from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.device import launch_lock
 from gcd_dataset.generator.mesh.triangulate import LONGEST, triangulate, triangulator
 from tests.generator.mesh.shapes import (
     angles,
@@ -171,3 +174,15 @@ def test_each_point_is_found_in_the_triangle_that_holds_it(seed: int) -> None:
     outward = (border[1] - border[0])[::-1] * [1.0, -1.0]
     found = faces[triangulator().holding(middle[None] + 0.01 * outward)[0]]
     assert {0, 1} <= set(found.tolist())
+
+
+def test_an_outline_is_not_filled_while_another_thread_captures_a_graph() -> None:
+    """Warp's capture is one for all threads: a launch in another one would look it up while it ends."""
+    border = loop(rectangle(8.0, 5.0), 1.0)
+    seeds, _ = triangulate(border, 1.0)
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(triangulator).result()
+        with launch_lock:
+            filling = pool.submit(triangulate, border, 1.0)
+            assert not wait([filling], timeout=0.2).done
+        assert (filling.result()[0] == seeds).all()
