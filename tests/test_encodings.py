@@ -141,9 +141,7 @@ curves = st.one_of(
 @pytest.mark.parametrize("name", ENCODINGS)
 def test_any_curve_survives_or_keeps_its_ends_and_middle(name: str, curve: Curve) -> None:
     pattern = pair(curve)
-    assume(
-        abs(middle_of((0.0, 0.0), (1.0, 0.0), curve)[1]) > 1e-3
-    )  # with its middle on the chord it is straight
+    assume(abs(middle_of((0.0, 0.0), (1.0, 0.0), curve)[1]) > 1e-3)  # with its middle on the chord it is straight
     found = ENCODINGS[name].again(pattern)
     if isinstance(curve, ENCODINGS[name].exact):
         assert_same(found, in_slots(pattern) if name == "sewingldm" else pattern, 1e-5)
