@@ -69,7 +69,7 @@ def forked(work: Callable[[], Any]) -> int:
         try:
             work()
             code = 0
-        except BaseException:
+        except BaseException:  # noqa: BLE001 - the child ends here
             traceback.print_exc()
         finally:
             os._exit(code)
