@@ -271,10 +271,20 @@ def _wanted(place: Place, tasks: Sequence[Task]) -> Wanted:
     wanted = []
     for task in tasks:
         names = {draft_name(split, task.number, task.plan.count) for split in (task.split, FAILED)} & drafts
-        done = {sample.number for name in names for sample in stored_samples(place.work / name, damaged=True)}
+        done = set[int]().union(*(_samples_in(place.work / name) for name in names))
         left = [index for index in task.indices if index not in done and not earlier.has(task.split, index)]
         wanted.append((task, left))
     return wanted
+
+
+def _samples_in(draft: Path) -> set[int]:
+    """The indices of the whole samples in a draft; none if another process has finished it meanwhile."""
+    try:
+        return {sample.number for sample in stored_samples(draft, damaged=True)}
+    except ShardError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            return set()
+        raise
 
 
 class _Earlier:

@@ -46,7 +46,7 @@ def untangle(solver: Solver, worlds: Bool[np.ndarray, " w"]) -> None:
     Each world ends in the state with the fewest crossings, which may be its first.
     """
     with launch_lock:
-        phase = solver.kept(_Phase)
+        phase = solver.untangling = solver.untangling or _Phase(solver)
         phase.begin(worlds)
     for number in range(1, solver.config.untangling_steps + 1):
         wp.capture_launch(phase.graph)

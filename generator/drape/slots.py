@@ -55,7 +55,7 @@ def rooms_of(model: ClothModel) -> list[int]:
 
 
 def _room(vertices: int, edges: int, faces: int) -> int:
-    """A multiple of ``WARP``, whose rows are interleaved; an empty vertex follows the garment's."""
+    """A multiple of ``WARP``, since the rows of as many vertices are interleaved; the last vertex stays empty."""
     least = max(vertices + 1, -(-edges // int(EDGES)), -(-faces // int(FACES)))
     return -(-least // WARP) * WARP
 

@@ -1,7 +1,7 @@
 """The solver of a batch: substeps captured as graphs, on CPU and GPU alike, and replayed frame by frame."""
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -15,7 +15,6 @@ from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.generator.drape.model import ClothModel, new_state
 
-Kept = TypeVar("Kept")
 REBUILD_EVERY = 10  # frames between two builds of the BVH; in between it is refitted
 FINISHING_ROUNDS = 4
 GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; kernels walk longer lists in strides
@@ -39,7 +38,8 @@ class Solver:
         self._roots = wp.zeros(model.n_worlds, dtype=int, device=model.device)
         self._none, self._every = wp.zeros_like(self.state.tangled), wp.ones_like(self.state.tangled)
         self._graphs: list[wp.Graph] = []
-        self._kept: dict[Any, Any] = {}
+        self.untangling: Any = None
+        """Buffers and graph of ``outcome.untangle``, kept for its next call."""
 
     def frame(self, between: Callable[[], None] = nothing) -> None:
         """One frame: ``config.substeps`` substeps, then the status of each world.
@@ -80,13 +80,6 @@ class Solver:
         with wp.ScopedCapture(device=self.model.device) as capture:
             launches()
         return capture.graph
-
-    def kept(self, make: Callable[["Solver"], Kept]) -> Kept:
-        """What ``make`` returns for this solver, kept with it: buffers and graphs of a phase."""
-        if make not in self._kept:
-            self._kept[make] = make(self)
-        kept: Kept = self._kept[make]
-        return kept
 
     def run_for(self, seconds: float) -> None:
         """Step until every garment has reached a simulated time [s]. Raises ``DrapeError`` if one ends earlier."""

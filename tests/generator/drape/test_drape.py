@@ -253,7 +253,7 @@ def test_an_overfull_contact_list_of_the_coarse_pass_is_reported() -> None:
 
 
 def test_garments_enter_and_leave_a_batch_without_a_change_for_others() -> None:
-    """Positions after some frames are those of a batch of its own, whoever was or is beside a garment."""
+    """A garment moves as it does alone, whichever garments enter or leave the batch."""
     jobs, config = [on_a_ball(size) for size in (9, 13, 7, 11)], DrapeConfig()
     models = [build_model([job], config, "cpu") for job in jobs]
     slots = Slots(2 * max(rooms_of(model)[0] for model in models), 2, config, "cpu")
