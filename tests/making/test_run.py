@@ -225,7 +225,7 @@ def stored(url: str) -> dict[str, bytes]:
 def test_a_store_holds_the_bytes_of_a_folder(
     url: str, tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("GCD_CACHE", str(tmp_path))
     stopped(partial(make, url, COUNT), after=5)
     assert stored(url).keys() < whole.keys()
     make(url, COUNT, job=Job(0, 2))
@@ -237,10 +237,10 @@ def test_a_store_holds_the_bytes_of_a_folder(
     assert stored(url) == whole
     fsspec.filesystem("memory").rm("/bucket/set/train-00001.json")  # made again from a copy of its tar
     index(store.place_for(url))
-    assert not [path for path in (tmp_path / ".cache/gcd_dataset/work").rglob("*") if path.is_file()]
+    assert not [path for path in (tmp_path / "work").rglob("*") if path.is_file()]
     assert make(url, COUNT).made == 0
     assert stored(url) == whole
-    assert not [path for path in (tmp_path / ".cache/gcd_dataset/work").rglob("*") if path.is_file()]
+    assert not [path for path in (tmp_path / "work").rglob("*") if path.is_file()]
     with pytest.raises(ConfigError, match="seed=0, asked for seed=1"):
         make(url, COUNT, seed=1)
     with pytest.raises(ConfigError, match="only folders grow"):
