@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -119,6 +120,27 @@ def to_host(array: wp.array) -> np.ndarray:
     return wp.clone(array, device="cpu").numpy()
 
 
+class HostMirror:
+    """Copies of device arrays in page-locked memory, which is kept: locking it takes longer than the copies."""
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[Any, tuple[int, ...], int], wp.array] = {}
+
+    def fetch(self, *arrays: wp.array) -> list[np.ndarray]:
+        """The arrays in host memory, valid until the next call; waits once for the current stream."""
+        if arrays[0].device.is_cpu:
+            return [to_host(array) for array in arrays]
+        copies = []
+        for number, array in enumerate(arrays):
+            key = array.dtype, array.shape, number
+            if key not in self._kept:
+                self._kept[key] = wp.empty(array.shape, dtype=array.dtype, device="cpu", pinned=True)
+            wp.copy(self._kept[key], array)
+            copies.append(self._kept[key].numpy())
+        wp.synchronize_stream(wp.get_stream(arrays[0].device))
+        return copies
+
+
 @contextlib.contextmanager
 def keep_freed_memory(device: str) -> Iterator[None]:
     """Within the block, CUDA's memory pool keeps freed memory for this process.
@@ -187,7 +209,7 @@ URGENT = -1  # the priority of the default stream is 0, lower numbers come first
 
 
 class WorkStream:
-    """A stream and an urgent one, whose work runs beside that of others; their allocator defers frees to ``wait``.
+    """A stream and an urgent one, whose work runs beside that of others; their allocator defers the frees of arrays.
 
     Warp frees an array on CUDA's default stream. Warp's own streams wait for that stream and it for them, so the
     batches of two such streams would wait for each other whenever an array is freed. A ``WorkStream`` does not
@@ -199,18 +221,24 @@ class WorkStream:
         self._stream, self._urgent = (wp.Stream(gpu, cuda_stream=_new_stream(gpu, each)) for each in (0, URGENT))
         self._allocator = _DeferredFrees(gpu)
         self._reached = wp.Event(gpu)
+        self._is_urgent = False
+        """Whether the last work was urgent."""
 
     @contextlib.contextmanager
     def active(self, *, urgent: bool = False) -> Iterator[None]:
-        """Launch and allocate on this stream within the block; ``urgent``: before the waiting work of all streams.
+        """Launch and allocate on this stream within the block; ``urgent``: before the waiting work of other streams.
 
-        Call ``wait`` between urgent and other work.
+        Urgent work waits for the work before it, and later work for it.
         """
+        stream, other = (self._urgent, self._stream) if urgent else (self._stream, self._urgent)
         with (
             launch_lock,
-            wp.ScopedStream(self._urgent if urgent else self._stream, sync_enter=False),
+            wp.ScopedStream(stream, sync_enter=False),
             wp.ScopedAllocator(self._gpu, self._allocator),
         ):
+            if self._is_urgent is not urgent:
+                stream.wait_stream(other)
+                self._is_urgent = urgent
             yield
 
     def wait(self) -> None:
@@ -218,7 +246,11 @@ class WorkStream:
         with launch_lock:
             wp.synchronize_stream(self._stream)
             wp.synchronize_stream(self._urgent)
-            self._allocator.free_dropped()
+            self.free_dropped()
+
+    def free_dropped(self) -> None:
+        """Free the arrays dropped so far. Call it when the device has ended the work of both streams."""
+        self._allocator.free_dropped()
 
     def mark(self) -> None:
         """Mark this point of the stream for ``reached``."""

@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 import warp as wp
 
-from gcd_dataset.generator.device import WorkStream, keep_freed_memory, launch_lock, to_host, work_streams
+from gcd_dataset.generator.device import WorkStream, keep_freed_memory, launch_lock, work_streams
 from gcd_dataset.generator.drape.body_field import HostField, host_field
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import BodyConstraints
@@ -274,10 +274,11 @@ class Lane:
             return []
         assert self._slots is not None
         solver, passes = self._slots.solver, self._passes
-        self.synchronize()
         state = solver.state
         # Frames queued ahead may have ended more garments.
-        status, frames = to_host(state.status), to_host(state.frames)
+        status, frames = map(np.array, solver.mirror.fetch(state.status, state.frames))
+        if self._stream is not None:
+            self._stream.free_dropped()
         ended = [w for w in passes if status[w] != RUNNING]
         fine = [w for w in ended if passes[w].coarse is None]
         drapes = collect(solver, [passes[w].fine for w in fine], fine)
@@ -299,7 +300,6 @@ class Lane:
         self._slots.free(ended)
         for w in ended:
             del passes[w]
-        self.synchronize()
         return finished
 
     def _coarse_ends(self, worlds: Sequence[int]) -> dict[int, CoarseEnd]:
@@ -308,7 +308,7 @@ class Lane:
             return {}
         assert self._slots is not None
         state, vertices = self._slots.solver.state, self._slots.solver.model.vertices
-        time, held, overfull = (to_host(array) for array in (state.time, state.held, state.contacts.overfull))
+        time, held, overfull = self._slots.solver.mirror.fetch(state.time, state.held, state.contacts.overfull)
         return {
             w: CoarseEnd(
                 coarse,
@@ -345,7 +345,6 @@ class Lane:
             worlds = self._slots.place(new, [each.start for each in chosen]) if self._slots.suits(new) else []
         self._passes |= dict(zip(worlds, chosen, strict=False))
         self._waiting = self._waiting[len(worlds) :]
-        self.synchronize()
 
     def _renew(self, new: ClothModel) -> None:
         """Make the buffers of an empty batch, or larger ones, for the garments of ``new``: all that wait."""

@@ -46,16 +46,21 @@ class BodyConstraints:
     """Mean height of the keepers below which the garment has slid off [cm]."""
     floor_height: float
     """Height that the body stands on [cm]."""
+    held: int
+    """Number of vertices with a hold."""
 
     @classmethod
     def of(cls, job: DrapeJob) -> Self:
         mesh, panel_of_row = job.box_mesh, _panel_of_row(job.box_mesh)
+        normal, offset = holds(job)
         return cls(
-            *holds(job),
-            ignored_parts(mesh, panel_of_row),
-            own_parts(mesh, panel_of_row),
+            normal.astype(np.float32),
+            offset.astype(np.float32),
+            ignored_parts(mesh, panel_of_row).astype(np.int32),
+            own_parts(mesh, panel_of_row).astype(np.int32),
             *find_keepers(job),
             floor_height(job),
+            int(np.count_nonzero(normal.any(axis=1))),
         )
 
 

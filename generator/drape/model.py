@@ -17,7 +17,7 @@ from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, NOT_COUNTED
-from gcd_dataset.generator.drape.kernels.rows import add_inertia
+from gcd_dataset.generator.drape.kernels.rows import add_inertia, sample_scales
 from gcd_dataset.generator.drape.kernels.world import (
     ClothArrays,
     Contacts,
@@ -45,6 +45,8 @@ class ClothModel:
     device: str
     worlds: wp.array
     """(w) ``World``: parameters of each garment."""
+    parameters: np.ndarray
+    """(w) ``worlds`` in host memory."""
     cloth: ClothArrays
     rows: Rows
     springs: wp.array
@@ -99,21 +101,20 @@ def build_model(
         [slice(int(a), int(b)) for a, b in pairwise(ends)]
         for ends in (topology.vertex_offset, topology.edge_offset, topology.face_offset)
     )
+    ratios, medians, lengths = _scales(topology, vertices, edges, device)
+    # After the last read from the device above, which would wait for the fields.
     bodies = body_fields([job.body for job in jobs], device, fields)
-    stiffness = to_host(topology.stiffness)
-    ratios = _medians(to_host(topology.mass) / np.maximum(stiffness, 1e-9), vertices)
     # Stable at ``INERTIA_GAIN`` times the median mass per stiffness.
     steps = np.sqrt(SAFETY * STABLE * INERTIA_GAIN * np.array(ratios))
-    lengths = _medians(to_host(topology.hinges.spring)[:, 1], edges)
     times = sewing_times or [config.sewing_time] * len(jobs)
     worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0, times[k]) for k, job in enumerate(jobs)]
-    for k, (world, median) in enumerate(zip(worlds, _medians(stiffness, vertices), strict=True)):
+    for k, (world, median) in enumerate(zip(worlds, medians, strict=True)):
         world.stiffness = float(median)
         world.max_frames = config.max_frames // 2 if k in coarse else config.max_frames
         _add_garment(world, config, float(steps[k]), float(lengths[k]), vertices[k])
     for world, body, each in zip(worlds, bodies, constraints, strict=True):
         world.keepers, world.lowest, world.floor = len(each.keepers), each.lowest, each.floor_height
-        world.holds = int(each.hold_normal.any(axis=1).sum()) if config.holds else 0
+        world.holds = each.held if config.holds else 0
         world.field, world.field_parts = body.distance.flatten(), body.part.flatten()
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)
@@ -122,9 +123,11 @@ def build_model(
     cloth.axes = wp.array(np.concatenate([body.axes for body in bodies]), dtype=wp.vec3, device=device)
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
     face_world = np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset))
+    parameters = wp.array(worlds, dtype=World, device="cpu").numpy()
     return ClothModel(
         device=device,
-        worlds=wp.array(worlds, dtype=World, device=device),
+        worlds=wp.array(parameters, dtype=World, device=device),
+        parameters=parameters,
         cloth=cloth,
         rows=topology.rows,
         springs=topology.hinges.spring,
@@ -159,6 +162,7 @@ def empty_model(room: int, worlds: int, width: int, device: str, *, coupled: boo
     return ClothModel(
         device=device,
         worlds=make(worlds + 1, World),
+        parameters=np.zeros(worlds + 1, World.numpy_dtype()),
         cloth=cloth,
         rows=empty_rows(room, width, device, coupled=coupled),
         springs=make(edges, wp.vec3),
@@ -193,9 +197,22 @@ def _cloth(
     return cloth
 
 
-def _medians(values: np.ndarray, spans: Sequence[slice]) -> list[np.floating]:
-    """The median of each garment's values."""
-    return [np.median(values[span][::SAMPLE]) for span in spans]
+def _scales(
+    topology: Topology, vertices: Sequence[slice], edges: Sequence[slice], device: str
+) -> tuple[list[np.floating], ...]:
+    """Medians over each garment: mass over stiffness [s²] and stiffness [g/s²] of its vertices, length of its edges."""
+    spans = [*vertices, *edges]
+    ends = np.cumsum([-(-(span.stop - span.start) // SAMPLE) for span in spans])
+    rows = np.concatenate([np.arange(span.start, span.stop, SAMPLE, dtype=np.int32) for span in spans])
+    scales, of_vertices = wp.empty(len(rows), dtype=wp.vec2, device=device), int(ends[len(vertices) - 1])
+    inputs = [wp.array(rows, dtype=int, device=device), of_vertices]
+    inputs += [topology.mass, topology.stiffness, topology.hinges.spring]
+    wp.launch(sample_scales, dim=len(rows), inputs=inputs, outputs=[scales], device=device)
+    parts = np.split(to_host(scales), ends[:-1])
+    mass, stiffness = zip(*(part.T for part in parts[: len(vertices)]), strict=True)
+    ratios = [m / np.maximum(k, 1e-9) for m, k in zip(mass, stiffness, strict=True)]
+    lengths = [part[:, 0] for part in parts[len(vertices) :]]
+    return tuple([np.median(each) for each in values] for values in (ratios, stiffness, lengths))
 
 
 def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:

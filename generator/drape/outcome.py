@@ -20,7 +20,7 @@ from gcd_dataset.generator.drape.holds import fell, find_keepers, off_body
 from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.kernels.place import NOT_COUNTED
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, STOPPED
-from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.drape.solver import CROSSING_COUNTS, SELF_CROSSINGS, Solver
 from gcd_dataset.generator.quality import quantile
 from gcd_dataset.records import Drape, Outcome
 
@@ -152,22 +152,23 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     """The drapes of some worlds of a batch; ``jobs[k]`` was draped in ``worlds[k]``."""
     if not worlds:
         return []
-    state, model = solver.state, solver.model
-    overfull = to_host(state.contacts.overfull)  # read now: the searches below may overflow their lists too
-    chosen = np.isin(np.arange(model.n_worlds), worlds)
-    if solver.config.untangling_steps:
-        with launch_lock:
-            crossing = (solver.self_crossings(chosen) > 0) & (to_host(state.status) == DONE)
-        if crossing.any():
-            untangle(solver, crossing)
+    state, model, fetch = solver.state, solver.model, solver.mirror.fetch
+    with launch_lock:
+        chosen = solver.chosen(np.isin(np.arange(model.n_worlds), worlds))
+        counts = solver.counted(SELF_CROSSINGS, chosen)
+        # Read ``overfull`` now: the searches below may overflow their lists too.
+        crossings, overfull, status, frames = map(
+            np.array, fetch(counts, state.contacts.overfull, state.status, state.frames)
+        )
+    crossing = (crossings > 0) & (status == DONE)
+    if solver.config.untangling_steps and crossing.any():
+        untangle(solver, crossing)
     with launch_lock:
         if solver.config.exact_finish:
             solver.leave_skin(chosen)
         solver.round_positions(chosen)
-        self_crossings, body_crossings = solver.self_crossings(chosen), solver.body_crossings(chosen)
-        body_through = solver.body_through(chosen)
-        stretches = solver.stretches()
-    x, status, frames = (to_host(array) for array in (state.x, state.status, state.frames))
+        counts = [solver.counted(kernel, chosen) for kernel in CROSSING_COUNTS]
+        self_crossings, body_crossings, body_through, stretches, x = fetch(*counts, solver.stretches(), state.x)
     drapes = []
     for job, w in zip(jobs, worlds, strict=True):
         vertices = np.array(x[model.vertices[w]], np.float32)

@@ -78,7 +78,7 @@ class Slots:
         self._free = [(WARP, room)]
         """First vertex and number of vertices of each unused range, in order."""
         self._places: dict[int, tuple[int, int]] = {}
-        self._rows = to_host(model.worlds)
+        self._rows = model.parameters
         self._axes, self._meshes = to_host(model.cloth.axes), to_host(model.cloth.body_mesh)
 
     def suits(self, model: ClothModel) -> bool:
@@ -146,22 +146,22 @@ class Slots:
     def _write(self, new: ClothModel, starts: Sequence[CoarseEnd | None], worlds: Sequence[int]) -> None:
         model, state = self.solver.model, self.solver.state
         count = len(worlds)
-        parameters, axes, meshes = (to_host(a) for a in (new.worlds, new.cloth.axes, new.cloth.body_mesh))
         x, v = wp.clone(new.start), wp.zeros_like(new.start)
         placements = []
         for k, w in enumerate(worlds):
             first, start = self._places[w][0], starts[k]
-            self._rows[w], self._meshes[w] = parameters[k], meshes[k]
+            body = model.bodies[w] = new.bodies[k]
+            assert body is not None
+            self._rows[w], self._meshes[w] = new.parameters[k], body.mesh.id
             self._rows[w]["first"] = first
-            self._axes[2 * w : 2 * w + 2] = axes[2 * k : 2 * k + 2]
-            model.bodies[w] = new.bodies[k]
+            self._axes[2 * w : 2 * w + 2] = body.axes
             at = [first, int(EDGES) * first, int(FACES) * first]
             spans = [new.vertices[k], new.edges[k], new.faces[k]]
             for own, begin, span in zip((model.vertices, model.edges, model.faces), at, spans, strict=True):
                 own[w] = slice(begin, begin + _count(span))
             if start is not None:
                 self._interpolate(start, spans[0], x, v)
-            placements.append(_placement(w, at, spans, parameters[k], start))
+            placements.append(_placement(w, at, spans, new.parameters[k], start))
         model.worlds.assign(self._rows)
         model.cloth.axes.assign(self._axes)
         model.cloth.body_mesh.assign(self._meshes)

@@ -8,7 +8,7 @@ import warp as wp
 from jaxtyping import Bool, Int
 
 from gcd_dataset.errors import DrapeError
-from gcd_dataset.generator.device import launch_lock, native_builds, to_host
+from gcd_dataset.generator.device import HostMirror, launch_lock, native_builds, to_host
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.kernels import contacts, crossing, finish, search, sides, step, stillness
 from gcd_dataset.generator.drape.kernels.world import RUNNING
@@ -18,6 +18,13 @@ from gcd_dataset.generator.drape.model import ClothModel, new_state
 REBUILD_EVERY = 10  # frames between two builds of the BVH; in between it is refitted
 FINISHING_ROUNDS = 4
 GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; kernels walk longer lists in strides
+
+
+SELF_CROSSINGS, BODY_CROSSINGS, BODY_THROUGH = CROSSING_COUNTS = (
+    crossing.count_self_crossings,
+    crossing.count_body_crossings,
+    crossing.count_body_through,
+)
 
 
 def nothing() -> None:
@@ -38,6 +45,8 @@ class Solver:
         self._roots = wp.zeros(model.n_worlds, dtype=int, device=model.device)
         self._none, self._every = wp.zeros_like(self.state.tangled), wp.ones_like(self.state.tangled)
         self._graphs: list[wp.Graph] = []
+        self._skins: tuple[wp.array, int] | None = None
+        self.mirror = HostMirror()
         self.untangling: Any = None
         """Buffers and graph of ``outcome.untangle``, kept for its next call."""
 
@@ -61,7 +70,7 @@ class Solver:
 
     def rebuild_bvh_next(self) -> None:
         """Build the BVH anew before the next frame: garments have come or gone."""
-        self._rebuild_at = self.frames
+        self._rebuild_at, self._skins = self.frames, None
 
     def replay_frame(self, between: Callable[[], None] = nothing) -> None:
         """``frame`` with the present BVH."""
@@ -88,14 +97,11 @@ class Solver:
                 raise DrapeError(f"a garment has ended before {seconds} s: raise max_frames and held_time")
             self.frame()
 
-    def leave_skin(self, worlds: Bool[np.ndarray, " w"]) -> None:
+    def leave_skin(self, chosen: wp.array) -> None:
         """Move cloth of the chosen worlds off the skin's triangles, without new crossings of cloth with cloth."""
         m, s = self.model, self.state
-        chosen, through = self._chosen(worlds), wp.zeros_like(s.search.listed)
-        pierced, height = (
-            self._chosen(self.body_through(worlds) > 0),
-            wp.zeros(m.n_vertices, dtype=float, device=m.device),
-        )
+        pierced = self.counted(BODY_THROUGH, chosen)
+        through, height = wp.zeros_like(s.search.listed), wp.zeros(m.n_vertices, dtype=float, device=m.device)
         edges, most_edges = self._body_edges()
         allowed, start, moved = wp.empty(m.n_vertices, dtype=float, device=m.device), wp.clone(s.x), wp.empty_like(s.x)
         self.launch(finish.reset_allowed_moves, m.n_vertices, [m.worlds, m.cloth], [allowed])
@@ -113,36 +119,40 @@ class Solver:
             self.launch(finish.leave_skin, m.n_vertices, inputs, [moved])
             wp.copy(s.x, moved)
 
-    def round_positions(self, worlds: Bool[np.ndarray, " w"]) -> None:
+    def round_positions(self, chosen: wp.array) -> None:
         """Round the positions of the chosen worlds to multiples of ``POSITION_STEP``, as shards store them."""
         m = self.model
-        self.launch(finish.round_positions, m.n_vertices, [m.cloth, self._chosen(worlds)], [self.state.x])
+        self.launch(finish.round_positions, m.n_vertices, [m.cloth, chosen], [self.state.x])
 
     def self_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
         """(w) edges of each world's cloth that cross the cloth; 0 outside ``worlds``."""
-        inputs = [self.model.cloth, *self.refitted_bvh()]
-        return self._counted(crossing.count_self_crossings, self.model.n_edges, inputs, worlds)
+        return to_host(self.counted(SELF_CROSSINGS, self.chosen(worlds)))
 
     def body_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
         """(w) edges of each world's cloth that cross the skin; 0 outside ``worlds``."""
-        return self._counted(crossing.count_body_crossings, self.model.n_edges, [self.model.cloth], worlds)
+        return to_host(self.counted(BODY_CROSSINGS, self.chosen(worlds)))
 
     def body_through(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
         """(w) edges of each world's skin that cross the cloth; 0 outside ``worlds``."""
-        edges, most_edges = self._body_edges()
-        inputs = [self.model.cloth, edges, *self.refitted_bvh()]
-        return self._counted(crossing.count_body_through, (self.model.n_worlds, most_edges), inputs, worlds)
+        return to_host(self.counted(BODY_THROUGH, self.chosen(worlds)))
 
-    def _counted(
-        self, kernel: wp.Kernel, dim: int | tuple[int, int], inputs: list, worlds: Bool[np.ndarray, " w"] | None
-    ) -> Int[np.ndarray, " w"]:
-        """(w) what a kernel counts in the given worlds."""
-        counts = wp.zeros(self.model.n_worlds, dtype=int, device=self.model.device)
-        self.launch(kernel, dim, [*inputs, self._chosen(worlds), self.state.x], [counts])
-        return to_host(counts)
+    def counted(self, kernel: wp.Kernel, chosen: wp.array) -> wp.array:
+        """(w) what one of ``CROSSING_COUNTS`` counts in the worlds marked in ``chosen`` (w), on the device."""
+        m, inputs = self.model, [self.model.cloth]
+        dim: int | tuple[int, int] = m.n_edges
+        if kernel is BODY_THROUGH:
+            skins, most_edges = self._body_edges()
+            inputs, dim = [*inputs, skins], (m.n_worlds, most_edges)
+        if kernel is not BODY_CROSSINGS:
+            inputs += self.refitted_bvh()
+        counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
+        self.launch(kernel, dim, [*inputs, chosen, self.state.x], [counts])
+        return counts
 
     def _body_edges(self) -> tuple[wp.array, int]:
         """(w) the edges of each world's skin, and the largest number of them."""
+        if self._skins is not None:
+            return self._skins
         skins = []
         for body in self.model.bodies:
             skin = crossing.BodyEdges()
@@ -150,16 +160,17 @@ class Solver:
                 skin.mesh, skin.ends = body.mesh.id, body.edges
             skins.append(skin)
         longest = max(len(body.edges) for body in self.model.bodies if body is not None)
-        return wp.array(skins, dtype=crossing.BodyEdges, device=self.model.device), longest
+        self._skins = wp.array(skins, dtype=crossing.BodyEdges, device=self.model.device), longest
+        return self._skins
 
-    def stretches(self) -> np.ndarray:
+    def stretches(self) -> wp.array:
         """(e) length over flat length of every edge."""
         m = self.model
         ratio = wp.empty(m.n_edges, dtype=float, device=m.device)
         self.launch(stillness.stretch_edges, m.n_edges, [m.cloth, m.springs, self.state.x], [ratio])
-        return to_host(ratio)
+        return ratio
 
-    def _chosen(self, worlds: Bool[np.ndarray, " w"] | None) -> wp.array:
+    def chosen(self, worlds: Bool[np.ndarray, " w"] | None) -> wp.array:
         """(w) 1 in the given worlds, 0 in others; None: 1 in all."""
         every = np.ones(self.model.n_worlds, bool)
         return wp.array((every if worlds is None else worlds).astype(np.int32), dtype=int, device=self.model.device)

@@ -145,8 +145,9 @@ class _MeshBatch:
     def rows(self, surface: kernels.ClothSurface, *, coupled: bool) -> Rows:
         """Uninitialised rows for all vertices; ``coupled``: with the corners that fabrics with a grain need."""
         # More faces than edges, and a bend for each face, where more than two panels meet.
-        widest = max(int(np.diff(to_host(first)).max()) for first in (surface.first_edge, surface.first_face))
-        return empty_rows(int(self.vertices[-1]), widest, self.device, coupled=coupled)
+        widest, n = wp.zeros(1, dtype=int, device=self.device), int(self.vertices[-1])
+        self.launch(kernels.find_widest, n, [surface.first_edge, surface.first_face], [widest])
+        return empty_rows(n, int(to_host(widest)[0]), self.device, coupled=coupled)
 
     def marked(self, vertices: Sequence[np.ndarray]) -> wp.array:
         """(v) 1 at the given vertices of each garment, 0 elsewhere."""

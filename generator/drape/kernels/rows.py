@@ -234,6 +234,24 @@ def weigh_rows(
 
 
 @wp.kernel
+def sample_scales(
+    rows: wp.array(dtype=int),
+    of_vertices: int,
+    mass: wp.array(dtype=float),
+    stiffness: wp.array(dtype=float),
+    spring: wp.array(dtype=wp.vec3),
+    # out
+    scales: wp.array(dtype=wp.vec2),
+):
+    """Mass and stiffness of the first ``of_vertices`` rows, which are vertices; flat length of the others, edges."""
+    k = wp.tid()
+    if k < of_vertices:
+        scales[k] = wp.vec2(mass[rows[k]], stiffness[rows[k]])
+    else:
+        scales[k] = wp.vec2(spring[rows[k]][1], 0.0)
+
+
+@wp.kernel
 def add_inertia(
     vertex_world: wp.array(dtype=int),
     mass: wp.array(dtype=float),

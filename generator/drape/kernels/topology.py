@@ -225,3 +225,17 @@ def find_firsts(
         before = keys[s - 1]
     for v in range(before + 1, here + 1):
         first[v] = s
+
+
+@wp.kernel
+def find_widest(
+    first_edge: wp.array(dtype=int),
+    first_face: wp.array(dtype=int),
+    # out
+    widest: wp.array(dtype=int),
+):
+    """The most edges, or faces, round a vertex."""
+    v = wp.tid()
+    most = wp.max(first_edge[v + 1] - first_edge[v], first_face[v + 1] - first_face[v])
+    if most > widest[0]:
+        wp.atomic_max(widest, 0, most)
