@@ -16,13 +16,13 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 import warp as wp
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Float32, Int, UInt8
 from scipy.spatial import ConvexHull
 
 from gcd_dataset.generator.body.repair import VisibleSkin, half_edges_of
 from gcd_dataset.generator.body.surface import kept_per_body
 from gcd_dataset.generator.device import native_builds
-from gcd_dataset.generator.drape.kernels.field import BLOCK, Hull, Voxels, add_hulls, fill_fields, measure_blocks
+from gcd_dataset.generator.drape.kernels.field import BLOCK, LID, Hull, Voxels, add_hulls, fill_fields, measure_blocks
 from gcd_dataset.records import Body, BodyPart
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
@@ -87,10 +87,13 @@ def body_fields(
     bodies: Sequence[Body], device: str, hosts: "Sequence[HostField | None] | None" = None
 ) -> tuple[BodyField, ...]:
     """The fields of bodies on a device; equal bodies share one cached field. ``hosts``: precomputed host data."""
-    keys = [(device, b"".join(_digests(body))) for body in bodies]
+    hosts = hosts or [None] * len(bodies)
+    keys = [
+        (device, b"".join(host.digests if host else _digests(body))) for body, host in zip(bodies, hosts, strict=True)
+    ]
     fields = {key: field for key in keys if (field := _in_use.get(key)) is not None}
-    given = dict(zip(keys, zip(bodies, hosts or [None] * len(bodies), strict=True), strict=True))
-    missing = {key: host or host_field(body) for key, (body, host) in given.items() if key not in fields}
+    given = dict(zip(keys, zip(bodies, hosts, strict=True), strict=True))
+    missing = {key: (body, host or host_field(body)) for key, (body, host) in given.items() if key not in fields}
     fields |= zip(missing, _make_fields(list(missing.values()), device), strict=True)
     for key, _ in reversed(Counter(keys).most_common()):  # the bodies that most garments wear are kept longest
         _in_use[key] = _recent[key] = fields[key]
@@ -102,49 +105,56 @@ def body_fields(
 
 @dataclass(frozen=True)
 class HostField:
-    """The part of a field's data that needs no device, so any thread may compute it."""
+    """The part of a field's data that needs no device, so any thread or process may compute it."""
 
-    triangles: Int[np.ndarray, " 3g"]
-    """Vertex indices of the skin's faces, flattened."""
-    edges: Int[np.ndarray, "e 2"]
-    """The skin's edges, without edges of the lids."""
-    points: Float[np.ndarray, "w 3"]
-    """The skin's vertices in single precision [cm]."""
+    digests: tuple[bytes, bytes]
+    """See ``_digests``."""
     parts: UInt8[np.ndarray, " g"]
-    """Body part of each face, with ``FOREARM``."""
+    """Body part of each face, with ``FOREARM``, and with the bit ``LID`` at lids."""
     low: Float[np.ndarray, "3"]
     """Centre of the first voxel [cm]."""
     shape: tuple[int, ...]
     """Voxels along x, y, z."""
-    lids_above: float
-    """Height below which there are no lids [cm]."""
     axes: Float[np.ndarray, "2 axes 3"]
     """See ``BodyField.axes``."""
-    extremities: tuple[Float[np.ndarray, "h 3"], ...]
-    """The vertices of each hand, of each foot up to the height of its toes, and of the head above the mouth [cm]."""
-    planes: tuple[Float[np.ndarray, "p 4"], ...]
-    """Half-spaces of the convex hull of each of ``extremities``: outward normal [1] and offset [cm]."""
+    hulls: "tuple[HostHull, ...]"
+    """Of each hand, of each foot up to the height of its toes, and of the head above the mouth."""
 
     @classmethod
     def of(cls, body: Body) -> Self:
         known = _skin(_digests(body)[0], body)
         points = known.skin.points(body.vertices)
-        extremities = _extremities(points, known)
         used = points[known.vertices].T.copy()  # NumPy reduces rows three times as fast as columns
         low = used.min(axis=1) - BAND - CELL
         size = np.ceil((used.max(axis=1) + BAND + CELL - low) / CELL).astype(int) + 1
         return cls(
-            triangles=known.triangles,
-            edges=known.edges,
-            points=np.asarray(points, np.float32),
-            parts=_with_forearms(points, known),
+            digests=_digests(body),
+            parts=_with_forearms(points, known) | known.lids,
             low=low,
             shape=tuple(int(n) for n in size),
-            lids_above=min((float(points[rim, 1].min()) for rim in known.skin.rims), default=np.inf) - BAND,
             axes=_axes(points, known),
-            extremities=extremities,
-            planes=tuple(ConvexHull(vertices).equations for vertices in extremities),
+            hulls=tuple(HostHull.of(vertices, low, size) for vertices in _extremities(points, known)),
         )
+
+
+@dataclass(frozen=True)
+class HostHull:
+    """A convex hull, and the voxels within ``BAND`` of it."""
+
+    planes: Float32[np.ndarray, "p 4"]
+    """Half-spaces: outward normal [1] and offset [cm]."""
+    first: tuple[int, ...]
+    """The first voxel along x, y, z."""
+    size: tuple[int, ...]
+    """Voxels along x, y, z."""
+
+    @classmethod
+    def of(cls, points: Float[np.ndarray, "h 3"], low: Float[np.ndarray, "3"], shape: Int[np.ndarray, "3"]) -> Self:
+        """The hull of points [cm] in a field of ``shape`` voxels from ``low`` on."""
+        first = np.maximum(np.floor((points.min(axis=0) - BAND - low) / CELL), 0).astype(int)
+        end = np.minimum(np.ceil((points.max(axis=0) + BAND - low) / CELL) + 1, shape).astype(int)
+        planes = ConvexHull(points).equations.astype(np.float32)
+        return cls(planes, tuple(first.tolist()), tuple((end - first).tolist()))
 
 
 @kept_per_body
@@ -182,8 +192,9 @@ class _SkinTopology:
     """A skin's topology and the data derived from it, shared by all bodies of that topology."""
 
     skin: VisibleSkin
-    triangles: Int[np.ndarray, " 3g"]  # see ``HostField.triangles``
-    edges: Int[np.ndarray, "e 2"]  # see ``HostField.edges``
+    triangles: Int[np.ndarray, " 3g"]  # vertex indices of the skin's faces, flattened
+    edges: Int[np.ndarray, "e 2"]  # the skin's edges, without edges of the lids
+    lids: UInt8[np.ndarray, " g"]  # ``LID`` at each face that shares a vertex with a lid
     vertices: Int[np.ndarray, " v"]  # vertices that belong to a face
     arms: tuple[Int[np.ndarray, " l"], Int[np.ndarray, " r"]]  # faces of the left and the right arm, without hands
     hands: Int[np.ndarray, " h"]  # faces of both hands
@@ -206,10 +217,12 @@ class _SkinTopology:
             np.flatnonzero(skin.parts == part.value) for part in (BodyPart.TRUNK, BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)
         )
         feet = feet if len(feet) else np.concatenate(legs)
+        near_lid = np.isin(skin.faces, np.concatenate([np.zeros(0, int), *skin.rims])).any(axis=1)
         return cls(
             skin,
             np.asarray(skin.faces, np.int32).ravel(),
             _edges_without_lids(skin),
+            near_lid * np.uint8(LID),
             np.unique(skin.faces),
             (left, right),
             hands,
@@ -240,29 +253,34 @@ def _edges_without_lids(skin: VisibleSkin) -> Int[np.ndarray, "e 2"]:
     return edges[of_body].astype(np.int32)
 
 
-def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
+def _make_fields(given: Sequence[tuple[Body, HostField]], device: str) -> list[BodyField]:
     """Fields of all bodies with two kernel launches: a launch for one body would not fill a GPU."""
-    if not hosts:
+    if not given:
         return []
-    triangles = {id(host.triangles): wp.array(host.triangles, dtype=int, device=device) for host in hosts}
-    edges = {id(host.edges): wp.array(host.edges, dtype=wp.vec2i, device=device) for host in hosts}
+    hosts = [host for _, host in given]
+    known = [_skin(host.digests[0], body) for body, host in given]
+    triangles = {id(one): wp.array(one.triangles, dtype=int, device=device) for one in known}
+    edges = {id(one): wp.array(one.edges, dtype=wp.vec2i, device=device) for one in known}
     voxels, made = [], []
-    points = [wp.array(host.points, dtype=wp.vec3, device=device) for host in hosts]
+    points = [
+        wp.array(one.skin.points(body.vertices).astype(np.float32), dtype=wp.vec3, device=device)
+        for one, (body, _) in zip(known, given, strict=True)
+    ]
     with native_builds(device):
         meshes = [
-            wp.Mesh(points=at, indices=triangles[id(host.triangles)], support_winding_number=True)
-            for at, host in zip(points, hosts, strict=True)
+            wp.Mesh(points=at, indices=triangles[id(one)], support_winding_number=True)
+            for at, one in zip(points, known, strict=True)
         ]
-    for host, mesh in zip(hosts, meshes, strict=True):
+    for host, mesh, one in zip(hosts, meshes, known, strict=True):
         entry = Voxels()
-        entry.mesh, entry.low, entry.lids_above = mesh.id, wp.vec3(*host.low), host.lids_above
+        entry.mesh, entry.low = mesh.id, wp.vec3(*host.low)
         entry.face_parts = wp.array(host.parts, dtype=wp.uint8, device=device)
         entry.blocks = wp.empty([-(-size // int(BLOCK)) for size in host.shape], dtype=wp.vec4, device=device)
         entry.distance = wp.empty(host.shape, dtype=float, device=device)
         entry.part = wp.zeros(host.shape, dtype=wp.uint8, device=device)
         voxels.append(entry)
         x, y, z = host.low.tolist()
-        made.append(BodyField(entry.distance, entry.part, (x, y, z), CELL, host.axes, mesh, edges[id(host.edges)]))
+        made.append(BodyField(entry.distance, entry.part, (x, y, z), CELL, host.axes, mesh, edges[id(one)]))
     bodies = wp.array(voxels, dtype=Voxels, device=device)
     most_blocks = max(entry.blocks.size for entry in voxels)
     for kernel, threads in ((measure_blocks, most_blocks), (fill_fields, most_blocks * int(BLOCK) ** 3)):
@@ -276,7 +294,7 @@ def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
 
 
 def _extremities(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> tuple[Float[np.ndarray, "h 3"], ...]:
-    """See ``HostField.extremities``; a body without hands, feet or head gets fewer than five.
+    """The vertices of ``HostField.hulls`` [cm]; a body without hands, feet or head gets fewer than five.
 
     Some segmentations, such as GarmentCode's, count hands as arms, feet as legs and the head as trunk.
     """
@@ -319,13 +337,11 @@ def _head_of(trunk: Float[np.ndarray, "t 3"], arms: Float[np.ndarray, "a 3"]) ->
 
 
 def _hulls(host: HostField, voxels: Voxels, device: str) -> Iterator[Hull]:
-    """The hulls of ``host``, with the voxels within ``BAND`` of each."""
-    for vertices, planes in zip(host.extremities, host.planes, strict=True):
-        first = np.maximum(np.floor((vertices.min(axis=0) - BAND - host.low) / CELL), 0).astype(int)
-        end = np.minimum(np.ceil((vertices.max(axis=0) + BAND - host.low) / CELL) + 1, host.shape).astype(int)
+    """The hulls of ``host`` on a device."""
+    for given in host.hulls:
         hull = Hull()
-        hull.planes = wp.array(planes.astype(np.float32), dtype=wp.vec4, device=device)
-        hull.first, hull.size = wp.vec3i(*first.tolist()), wp.vec3i(*(end - first).tolist())
+        hull.planes = wp.array(given.planes, dtype=wp.vec4, device=device)
+        hull.first, hull.size = wp.vec3i(*given.first), wp.vec3i(*given.size)
         hull.low, hull.distance = voxels.low, voxels.distance
         yield hull
 

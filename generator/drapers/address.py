@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from multiprocessing.connection import Client, Connection
 from multiprocessing.reduction import recv_handle, send_handle
@@ -233,7 +233,11 @@ class SharedDraper:
         self._connection: Connection = address.connect()
 
     def send(self, request: DrapeRequest) -> None:
+        from gcd_dataset.generator.drape.batches import PreparedJob
+
         request.job.require_drapeable()
+        with contextlib.suppress(Exception):  # raised again in the drape
+            request = replace(request, prepared=PreparedJob.of(request.job))
         try:
             send_object(self._connection, request)
         except OSError as error:

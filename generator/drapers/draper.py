@@ -13,6 +13,7 @@ from gcd_dataset.records import Drape
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
+    from gcd_dataset.generator.drape.batches import PreparedJob
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class DrapeRequest:
     """A further attempt at a sample; draped before all other requests, since later samples wait for it."""
     views: ViewRequest | None = None
     """The drawn views to take, if any."""
+    prepared: "PreparedJob | None" = None
+    """The job with its host data, made by a sender in another process."""
 
 
 @dataclass(frozen=True)

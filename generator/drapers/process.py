@@ -103,22 +103,19 @@ class RequestQueue:
     """Waiting requests, and the requests of the garments in the batch."""
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[ClientConnection, DrapeRequest, DrapeJob | PreparedJob]] = deque()
+        self._waiting: deque[tuple[ClientConnection, DrapeRequest]] = deque()
         self._arrived = threading.Condition()
         self._connections: set[ClientConnection] = set()
         self._draping: dict[int, tuple[ClientConnection, DrapeRequest]] = {}
         """Client and request of each garment in the batch, by the number of its job."""
 
     def put(self, client: ClientConnection, request: DrapeRequest) -> None:
-        """Prepare the job in the calling thread, and add the request; a retry goes first."""
-        job: DrapeJob | PreparedJob = request.job
-        with contextlib.suppress(Exception):  # raised again in the drape
-            job = PreparedJob.of(request.job)
+        """Add a request; a retry goes first."""
         with self._arrived:
             if request.retry:
-                self._waiting.appendleft((client, request, job))
+                self._waiting.appendleft((client, request))
             else:
-                self._waiting.append((client, request, job))
+                self._waiting.append((client, request))
             self._arrived.notify()
 
     def register(self, connection: ClientConnection) -> None:
@@ -163,10 +160,9 @@ class RequestQueue:
             if entry is None:
                 yield None
             else:
-                client, request, job = entry
-                self._draping[number] = client, request
+                _, request = self._draping[number] = entry
                 number += 1
-                yield job
+                yield request.prepared or request.job
 
 
 def _raise_file_limit() -> None:

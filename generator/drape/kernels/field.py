@@ -11,7 +11,8 @@ BLOCK = wp.constant(4)  # voxels along a side
 HALF_BLOCK = wp.constant(2.6)  # voxels from a block's centre to its furthest voxel centre, rounded up
 UNLIMITED = wp.constant(1.0e3)  # cm, search radius
 ROUNDING = wp.constant(1.0e-2)  # cm, added to search radii; single precision resolves it 200 m from the origin
-NEAR, INSIDE, OUTSIDE = wp.constant(0.0), wp.constant(1.0), wp.constant(2.0)
+NEAR, INSIDE, OUTSIDE, NEAR_INSIDE = wp.constant(0.0), wp.constant(1.0), wp.constant(2.0), wp.constant(3.0)
+LID = wp.constant(128)  # bit of ``Voxels.face_parts``
 
 
 @wp.struct
@@ -20,15 +21,13 @@ class Voxels:
 
     mesh: wp.uint64
     face_parts: wp.array(dtype=wp.uint8)
-    """Body part of each face."""
+    """Body part of each face; with ``LID`` where it shares a vertex with a lid over an opening."""
     low: wp.vec3
     """Centre of the first voxel [cm]."""
-    lids_above: float
-    """Height below which there are no lids over openings [cm]."""
     blocks: wp.array3d(dtype=wp.vec4)
-    """(x, y, z, kind) of each block: the point of the skin nearest to the block's centre [cm], and ``NEAR``; or
-    ``INSIDE`` or ``OUTSIDE`` for a block without voxels in the band. The point limits the search radius of its voxels.
-    """
+    """(x, y, z, kind) of each block: the point of the skin nearest to the block's centre [cm], which limits the search
+    radius of its voxels, and ``NEAR``, or ``NEAR_INSIDE`` for a centre inside the body; or ``INSIDE`` or ``OUTSIDE``
+    for a block without voxels in the band."""
     distance: wp.array3d(dtype=float)
     """Signed distance of each voxel's centre from the skin [cm], negative inside."""
     part: wp.array3d(dtype=wp.uint8)
@@ -79,6 +78,9 @@ def measure_blocks(bodies: wp.array(dtype=Voxels), cell: float, band: float):
         near = wp.mesh_query_point_no_sign(body.mesh, p, UNLIMITED)
         where = INSIDE
     skin = wp.mesh_eval_position(body.mesh, near.face, near.u, near.v)
+    # The side matters for voxels beyond the band alone: round those, no ball through the centre holds any skin.
+    if where == NEAR and wp.length(p - skin) > band - HALF_BLOCK * cell and in_body(body.mesh, p):
+        where = NEAR_INSIDE
     body.blocks[at[0], at[1], at[2]] = wp.vec4(skin[0], skin[1], skin[2], where)
 
 
@@ -107,20 +109,20 @@ def fill_fields(bodies: wp.array(dtype=Voxels), cell: float, band: float):
     else:
         near = wp.mesh_query_point_sign_normal(body.mesh, p, wp.min(reach, band))
         sign = near.sign
-        if near.result and p[1] > body.lids_above:
-            # Behind the lips a lid folds back on the skin, where signs by normals are wrong. Below all lids they are
-            # right, and faster.
+        if near.result and (int(body.face_parts[near.face]) & LID) != 0:
+            # Behind the lips a lid folds back on the skin, where signs by normals are wrong. Elsewhere they are right,
+            # and faster.
             winding = wp.mesh_query_point_sign_winding_number(body.mesh, p, wp.min(reach, band))
             sign = winding.sign
         if not near.result:
-            if not in_body(body.mesh, p):
+            if block[3] == NEAR:
                 body.distance[at[0], at[1], at[2]] = band
                 return
             near = wp.mesh_query_point_no_sign(body.mesh, p, reach)
             sign = -1.0
     skin = wp.mesh_eval_position(body.mesh, near.face, near.u, near.v)
     body.distance[at[0], at[1], at[2]] = sign * wp.length(p - skin)
-    body.part[at[0], at[1], at[2]] = body.face_parts[near.face]
+    body.part[at[0], at[1], at[2]] = wp.uint8(int(body.face_parts[near.face]) & (LID - 1))
 
 
 @wp.kernel

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
-from gcd_dataset.generator.drape.body_field import HostField, body_field, body_fields, host_field
+from gcd_dataset.generator.drape.body_field import HostField, _extremities, _skin, body_field, body_fields, host_field
 from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import untangle
@@ -92,15 +92,17 @@ def test_ears_fingers_and_toes_get_hulls_where_the_parts_have_no_head_hands_and_
     ):
         parts = np.where(parts == own.value, np.where(left, sides[0].value, sides[1].value), parts)
     found, known = HostField.of(replace(body, parts=parts.astype(np.uint8))), HostField.of(body)
-    assert len(found.planes) == len(known.extremities) == 5
-    for points, planes in zip(known.extremities, found.planes, strict=True):
+    skin = _skin(known.digests[0], body)
+    extremities = _extremities(skin.skin.points(body.vertices), skin)
+    assert len(found.hulls) == len(known.hulls) == len(extremities) == 5
+    for points, hull in zip(extremities, found.hulls, strict=True):
         end = points[np.abs(points[:, 0]) > np.percentile(np.abs(points[:, 0]), 90)]  # fingers, small toes, ears
-        assert (end @ planes[:, :3].T + planes[:, 3]).max() < 0.1
-    assert HostField.of(far_ball()).planes == ()
+        assert (end @ hull.planes[:, :3].T + hull.planes[:, 3]).max() < 0.1
+    assert HostField.of(far_ball()).hulls == ()
 
 
 def test_equal_bodies_share_one_host_field_in_all_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every request brings its own copy of a body; the reader threads prepare them at the same time."""
+    """Threads prepare jobs at the same time, each with its own copy of a body."""
     bodies = [body_from(trimesh.creation.icosphere(subdivisions=2, radius=8.3)) for _ in range(6)]
     monkeypatch.setattr(HostField, "of", of := Mock(wraps=HostField.of))
     with ThreadPoolExecutor(3) as pool:
