@@ -18,7 +18,6 @@ from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, NOT_COUNTED
 from gcd_dataset.generator.drape.kernels.rows import add_inertia, sample_scales
-from gcd_dataset.generator.drape.kernels.step import begin_ahead
 from gcd_dataset.generator.drape.kernels.world import (
     ClothArrays,
     Contacts,
@@ -272,9 +271,9 @@ class ClothState:
     v: wp.array
     """(v) velocities [cm/s]."""
     ahead: wp.array
-    """(v) predicted positions at which elastic forces are evaluated, see ``kernels.elastic`` [cm], and 0."""
+    """(v) predicted positions at which elastic forces are evaluated, see ``kernels.elastic`` [cm]."""
     ahead_next: wp.array
-    """(v) ``ahead`` of the next substep; the two buffers swap after each substep."""
+    """(v) predicted positions for the next substep; the two buffers swap after each substep [cm]."""
     x_seen: wp.array
     """(v) positions at the end of the last frame [cm]."""
     push: wp.array
@@ -326,13 +325,11 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
     crossing.due, crossing.searched, crossing.separated = zeros(worlds, int), ones(worlds), ones(worlds)
     crossing.least = wp.full(worlds, NOT_COUNTED, dtype=int, device=model.device)
     crossing.least_at, crossing.any_searched = zeros(worlds, int), ones(1)
-    ahead = wp.empty(n, dtype=wp.vec4, device=model.device)
-    wp.launch(begin_ahead, dim=n, inputs=[start], outputs=[ahead], device=model.device)
     return ClothState(
         x=wp.clone(start),
         v=zeros(n, wp.vec3),
-        ahead=ahead,
-        ahead_next=wp.clone(ahead),
+        ahead=wp.clone(start),
+        ahead_next=wp.clone(start),
         x_seen=wp.clone(start),
         push=wp.zeros((n, 5), dtype=int, device=model.device),
         contact_weight=wp.ones(n, dtype=float, device=model.device),

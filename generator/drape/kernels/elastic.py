@@ -4,14 +4,11 @@ Stretch: a spring along every mesh edge. In a fabric with a grain the springs of
 face an orthotropic sheet. Bending: the quadratic model of Bergou et al. (2006), a constant matrix. The thread of a
 vertex reads its springs, then the vertices on which only its bending force depends, then its coupled faces. On a GPU
 the rows of 32 vertices are interleaved for coalesced reads (H200, 924 000 vertices: 91 µs; with one array per quantity
-172 µs; with contiguous rows 188 µs), and each entry is read by one instruction, where Warp would read every field of it
-by itself; on a CPU each row is contiguous.
+172 µs; with contiguous rows 188 µs); on a CPU each row is contiguous.
 
 Forces are evaluated at ``x + theta h v``, which damps in proportion to stiffness and hardly damps slow motions. With
 this damping symplectic Euler is stable for ``(omega h)² (1 + 2 theta) < 4``.
 """
-
-from typing import Any
 
 import warp as wp
 
@@ -71,50 +68,6 @@ class Rows:
     bend_diagonal: wp.array(dtype=float)  # (v) weight of the vertex itself in its bending force [g/s²]
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-const float4 read = reinterpret_cast<const float4*>(springs.data)[at];
-return wp::vec4(read.x, read.y, read.z, read.w);
-#else
-const float* read = reinterpret_cast<const float*>(springs.data + at);
-return wp::vec4(read[0], read[1], read[2], read[3]);
-#endif
-""")
-def read_spring(springs: wp.array(dtype=Spring), at: int) -> wp.vec4:
-    """The fields of a spring; the bits of the first are those of ``vertex``."""
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-const float2 read = reinterpret_cast<const float2*>(bends.data)[at];
-return wp::vec2(read.x, read.y);
-#else
-const float* read = reinterpret_cast<const float*>(bends.data + at);
-return wp::vec2(read[0], read[1]);
-#endif
-""")
-def read_bend(bends: wp.array(dtype=Bend), at: int) -> wp.vec2:
-    """The fields of a bend; the bits of the first are those of ``vertex``."""
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-const float4 read = reinterpret_cast<const float4*>(x.data)[i];
-return wp::vec3(read.x, read.y, read.z);
-#else
-return wp::vec3(x.data[i][0], x.data[i][1], x.data[i][2]);
-#endif
-""")
-def position(x: wp.array(dtype=wp.vec4), i: int) -> wp.vec3:
-    """The first three numbers of ``x[i]``."""
-
-
-@wp.func
-def position(x: wp.array(dtype=wp.vec3), i: int) -> wp.vec3:  # type: ignore[no-redef] # noqa: F811
-    """``x[i]``."""
-    return x[i]
-
-
 @wp.func
 def entry(rows: Rows, i: int, k: int) -> int:
     """Index of entry ``k`` in the row of vertex ``i``."""
@@ -122,27 +75,27 @@ def entry(rows: Rows, i: int, k: int) -> int:
 
 
 @wp.func
-def spring_force(at: int, sewn: float, x: wp.vec3, rows: Rows, ahead: wp.array(dtype=Any)) -> wp.vec3:
+def spring_force(at: int, sewn: float, x: wp.vec3, rows: Rows, ahead: wp.array(dtype=wp.vec3)) -> wp.vec3:
     """Spring and bending force by one neighbour [g cm/s²]."""
-    spring = read_spring(rows.springs, at)
-    stiffness, rest, bend = spring[1], spring[2], spring[3]
+    spring = rows.springs[at]
+    rest = spring.length
     if sewn < 1.0:
         start = rows.start_length[at]
         if start < rest:  # compressed cloth spreads from SPREAD_FROM on, when the seams are nearly closed
             rest = wp.lerp(start, rest, wp.max(sewn - SPREAD_FROM, 0.0) / (1.0 - SPREAD_FROM))
         else:
             rest = wp.lerp(start, rest, sewn)
-    y = position(ahead, wp.cast(spring[0], wp.int32))
+    y = ahead[spring.vertex]
     edge = y - x
     length = wp.length(edge)
-    return (stiffness * (length - rest) / wp.max(length, 1.0e-6)) * edge - bend * y
+    return (spring.stiffness * (length - rest) / wp.max(length, 1.0e-6)) * edge - spring.bend * y
 
 
 @wp.func
-def coupled_force(at: int, x: wp.vec3, rows: Rows, ahead: wp.array(dtype=Any)) -> wp.vec3:
+def coupled_force(at: int, x: wp.vec3, rows: Rows, ahead: wp.array(dtype=wp.vec3)) -> wp.vec3:
     """Coupling force by one face: the pull along each edge follows from the stretches of the other two [g cm/s²]."""
     corner = rows.corners[at]
-    to_next, to_last = position(ahead, corner.next) - x, position(ahead, corner.last) - x
+    to_next, to_last = ahead[corner.next] - x, ahead[corner.last] - x
     next_length, last_length = wp.length(to_next), wp.length(to_last)
     next_stretch, last_stretch = next_length - corner.lengths[0], last_length - corner.lengths[1]
     across_stretch = wp.length(to_last - to_next) - corner.lengths[2]
@@ -152,25 +105,25 @@ def coupled_force(at: int, x: wp.vec3, rows: Rows, ahead: wp.array(dtype=Any)) -
 
 
 @wp.func
-def elastic_force(i: int, sewn: float, rows: Rows, ahead: wp.array(dtype=Any)) -> wp.vec3:
-    """Stretching and bending force on vertex ``i`` [g cm/s²]; ``ahead``: positions, as ``vec3`` or in a ``vec4`` [cm].
+def elastic_force(i: int, sewn: float, rows: Rows, ahead: wp.array(dtype=wp.vec3)) -> wp.vec3:
+    """Stretching and bending force on vertex ``i`` [g cm/s²].
 
     Every row has at least ``USUAL`` entries, padded with zero weights, so that the first loops do not diverge.
     """
-    x = position(ahead, i)
+    x = ahead[i]
     force = -rows.bend_diagonal[i] * x
     first = entry(rows, i, 0)
     for k in range(USUAL):
         force += spring_force(first + k * rows.lanes, sewn, x, rows, ahead)
     for k in range(USUAL):
-        bend = read_bend(rows.bends, first + k * rows.lanes)
-        force -= bend[1] * position(ahead, wp.cast(bend[0], wp.int32))
+        bend = rows.bends[first + k * rows.lanes]
+        force -= bend.weight * ahead[bend.vertex]
     count = rows.count[i]
     for k in range(USUAL, count[0]):
         force += spring_force(first + k * rows.lanes, sewn, x, rows, ahead)
     for k in range(USUAL, count[1]):
-        bend = read_bend(rows.bends, first + k * rows.lanes)
-        force -= bend[1] * position(ahead, wp.cast(bend[0], wp.int32))
+        bend = rows.bends[first + k * rows.lanes]
+        force -= bend.weight * ahead[bend.vertex]
     # Not during sewing: the coupling is linear in the strain, and seam edges are far longer than flat.
     if rows.coupled != 0 and sewn >= 1.0:
         for k in range(rows.corner_count[i]):

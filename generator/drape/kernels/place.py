@@ -35,7 +35,7 @@ class VertexState:
 
     x: wp.array(dtype=wp.vec3)
     v: wp.array(dtype=wp.vec3)
-    ahead: wp.array(dtype=wp.vec4)
+    ahead: wp.array(dtype=wp.vec3)
     x_seen: wp.array(dtype=wp.vec3)
     contact_weight: wp.array(dtype=float)
     beside: wp.array(dtype=int)
@@ -133,8 +133,7 @@ def place_vertices(
     state.x_seen[j] = here
     search.x[j] = here
     state.v[j] = given_v[i]
-    ahead = here + (LOOK_AHEAD * place.dt) * given_v[i]
-    state.ahead[j] = wp.vec4(ahead[0], ahead[1], ahead[2], 0.0)
+    state.ahead[j] = here + (LOOK_AHEAD * place.dt) * given_v[i]
     search.skin[j] = wp.vec4(0.0)
     search.listed[j] = 0
     state.contact_weight[j] = 1.0

@@ -50,17 +50,6 @@ def hold(i: int, here: wp.vec3, before: wp.vec3, world: World, cloth: ClothArray
 
 
 @wp.kernel
-def begin_ahead(
-    x: wp.array(dtype=wp.vec3),
-    # out
-    ahead: wp.array(dtype=wp.vec4),
-):
-    """The predicted positions of cloth at rest."""
-    i = wp.tid()
-    ahead[i] = wp.vec4(x[i][0], x[i][1], x[i][2], 0.0)
-
-
-@wp.kernel
 def step(
     # model
     worlds: wp.array(dtype=World),
@@ -71,14 +60,14 @@ def step(
     status: wp.array(dtype=int),
     time: wp.array(dtype=float),
     held: wp.array(dtype=int),
-    ahead_in: wp.array(dtype=wp.vec4),
+    ahead_in: wp.array(dtype=wp.vec3),
     # state in and out
     search: SearchState,
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
     # state out
-    ahead_out: wp.array(dtype=wp.vec4),
+    ahead_out: wp.array(dtype=wp.vec3),
     contact_weight: wp.array(dtype=float),
 ):
     """Integrate every vertex, then apply its contacts, hold and body contact; mark worlds that need a search."""
@@ -107,7 +96,6 @@ def step(
     velocity = limit_speed(velocity + moved / world.dt, world.max_speed)
     x[i] = here
     v[i] = velocity
-    ahead = here + (LOOK_AHEAD * world.dt) * velocity
-    ahead_out[i] = wp.vec4(ahead[0], ahead[1], ahead[2], 0.0)
+    ahead_out[i] = here + (LOOK_AHEAD * world.dt) * velocity
     if before_search and wp.length_sq(here - search.x[i]) > world.travel * world.travel:
         search.moved_far[w] = 1
