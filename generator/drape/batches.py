@@ -25,7 +25,7 @@ from gcd_dataset.generator.drape.slots import WIDTH, CoarseEnd, Slots, room_for,
 from gcd_dataset.generator.drape.solver import nothing
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
-from gcd_dataset.records import Drape
+from gcd_dataset.records import Drape, Outcome
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,8 @@ class Pass:
     """The coarse mesh of the garment's first pass, if it has one."""
     earlier: tuple[Drape, ...] = ()
     """The drapes of the garment before this pass, none of them free of crossings."""
+    room: int = 1
+    """Factor of its room for contacts: doubled whenever a list has run over."""
 
     @classmethod
     def first(cls, number: int, given: DrapeJob | PreparedJob, config: DrapeConfig) -> Self:
@@ -88,15 +90,16 @@ class Pass:
 
     def again(self, drape: Drape) -> Self:
         """The first pass of the garment's next drape, after ``drape``."""
-        return type(self)(
-            self.number,
-            self.fine,
-            self.begun_with,
-            _constraints(self.fine, self.begun_with, self.prepared),
-            self.prepared,
-            begun_with=self.begun_with,
-            earlier=(*self.earlier, drape),
-        )
+        return replace(self.begun(), earlier=(*self.earlier, drape))
+
+    def with_more_room(self) -> Self:
+        """The first pass of a drape in place of this one, whose contact lists have run over."""
+        return replace(self.begun(), room=2 * self.room)
+
+    def begun(self) -> Self:
+        """The first pass of this drape."""
+        constraints = _constraints(self.fine, self.begun_with, self.prepared)
+        return replace(self, coarse=self.begun_with, constraints=constraints, coarse_frames=0, start=None)
 
     def restarted(self, frames: int, config: DrapeConfig) -> Self:
         """The fine pass from the placed panels, after a coarse pass of ``frames`` frames that slid off the body."""
@@ -169,6 +172,7 @@ def model_of(passes: Sequence[Pass], config: DrapeConfig, device: str) -> ClothM
         device,
         coarse=[k for k, each in enumerate(passes) if each.coarse],
         sewing_times=[each.sewing_time(config) for each in passes],
+        rooms=[each.room for each in passes],
         constraints=[each.constraints for each in passes],
         fields=[None if each.prepared is None else each.prepared.field for each in passes],
     )
@@ -178,6 +182,7 @@ POLL_EVERY = 5  # frames between two reads of the status
 AHEAD = 10  # frames queued before the host works for another lane
 IDLE = 0.25  # share of the worlds that may be idle while jobs wait: replacing garments takes time
 SPARE = 1.25  # room of a batch over that of its garments, while further jobs may come
+MOST_ROOM = 16  # largest factor of a garment's room for contacts
 CROWDED = 0.6  # a batch that has no room for more than this share of its garments gets larger buffers
 
 
@@ -293,7 +298,9 @@ class Lane:
         for w, drape in zip(fine, drapes, strict=True):
             whole = replace(drape, frames=drape.frames + passes[w].coarse_frames)
             every = (*passes[w].earlier, whole)
-            if crosses(whole) and len(every) < self._config.most_drapes:
+            if drape.outcome is Outcome.OVERFULL and passes[w].room < MOST_ROOM:
+                self._waiting.append(passes[w].with_more_room())
+            elif crosses(whole) and len(every) < self._config.most_drapes:
                 self._waiting.append(passes[w].again(whole))
             else:
                 finished.append((passes[w].number, best_of(every)))
@@ -333,7 +340,7 @@ class Lane:
             return
         chosen = self._waiting
         if self._slots is not None and self._passes:
-            chosen = chosen[: self._slots.count_fitting([room_for(each.job.box_mesh) for each in chosen])]
+            chosen = chosen[: self._slots.count_fitting([each.room * room_for(each.job.box_mesh) for each in chosen])]
         self._is_crowded = len(chosen) < len(self._waiting) and len(self._passes) <= CROWDED * self._size
         if not chosen:
             return
@@ -350,7 +357,7 @@ class Lane:
         """Make the buffers of an empty batch, or larger ones, for the garments of ``new``: all that wait."""
         on_cpu, rows = self._device == "cpu", new.rows
         rooms = [
-            max(own, room_for(each.job.box_mesh if on_cpu else each.fine.box_mesh))
+            max(own, each.room * room_for(each.job.box_mesh if on_cpu else each.fine.box_mesh))
             for each, own in zip(self._waiting, rooms_of(new), strict=True)
         ]
         count, spare = (len(rooms), 1.0) if self._pending.ended else (self._size, SPARE)

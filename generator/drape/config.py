@@ -80,7 +80,8 @@ class DrapeConfig:
     contact_margin: float = 0.45
     """Pairs nearer than this are listed as contacts until the next search [cm]."""
     contact_capacity: int = 12
-    """Capacity of each contact list, in pairs for each vertex; a full list ends the drape as ``OVERFULL``."""
+    """Capacity of each contact list, in pairs for each vertex. A garment that needs more is draped again with twice
+    the capacity, up to 16 times; then it ends as ``OVERFULL``."""
     still_speed: float = 4.0
     """A vertex slower than this is at rest [cm/s]."""
     calm_speed: float = 18.0

@@ -84,6 +84,7 @@ def build_model(
     *,
     coarse: Container[int] = (),
     sewing_times: Sequence[float] | None = None,
+    rooms: Sequence[int] | None = None,
     constraints: Sequence[BodyConstraints] | None = None,
     fields: Sequence[HostField | None] | None = None,
 ) -> ClothModel:
@@ -91,8 +92,8 @@ def build_model(
 
     ``coarse``: the worlds that drape a coarse mesh; their layers keep a larger distance, since refinement turns
     straight chords into folds, which would cross. ``sewing_times``: the time over which the seams of each garment
-    close [s]; ``config.sewing_time`` if missing. ``constraints`` and ``fields``: precomputed for the jobs; computed
-    here if missing.
+    close [s]; ``config.sewing_time`` if missing. ``rooms``: factor of each garment's room for contacts.
+    ``constraints`` and ``fields``: precomputed for the jobs; computed here if missing.
     """
     jobs = [replace(job, fabric=job.fabric.softened(config.stiffest)) for job in jobs]
     constraints = constraints or [BodyConstraints.of(job) for job in jobs]
@@ -112,6 +113,7 @@ def build_model(
         world.stiffness = float(median)
         world.max_frames = config.max_frames // 2 if k in coarse else config.max_frames
         _add_garment(world, config, float(steps[k]), float(lengths[k]), vertices[k])
+        world.room = world.size * (rooms[k] if rooms else 1)
     for world, body, each in zip(worlds, bodies, constraints, strict=True):
         world.keepers, world.lowest, world.floor = len(each.keepers), each.lowest, each.floor_height
         world.holds = each.held if config.holds else 0

@@ -51,12 +51,14 @@ def room_for(mesh: BoxMesh) -> int:
 
 def rooms_of(model: ClothModel) -> list[int]:
     """Vertices of the place that each garment of a model takes."""
-    return [_room(*map(_count, spans)) for spans in zip(model.vertices, model.edges, model.faces, strict=True)]
+    spans = zip(model.vertices, model.edges, model.faces, strict=True)
+    rooms = model.parameters["room"].tolist()
+    return [_room(*map(_count, own), room) for own, room in zip(spans, rooms, strict=True)]
 
 
-def _room(vertices: int, edges: int, faces: int) -> int:
+def _room(vertices: int, edges: int, faces: int, room: int = 0) -> int:
     """A multiple of ``WARP``, since the rows of as many vertices are interleaved; the last vertex stays empty."""
-    least = max(vertices + 1, -(-edges // int(EDGES)), -(-faces // int(FACES)))
+    least = max(vertices + 1, -(-edges // int(EDGES)), -(-faces // int(FACES)), room)
     return -(-least // WARP) * WARP
 
 

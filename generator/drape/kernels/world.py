@@ -16,6 +16,7 @@ class World:
 
     first: int  # its first vertex
     size: int  # number of its vertices
+    room: int  # vertices for which its contact lists have room: more than it has where they have run over before
     stiffness: float  # g/s², median over its vertices
     dt: float  # s, length of a substep
     damping: float  # 1/s, drag after sewing
@@ -152,7 +153,7 @@ def sewn_share(world: World, time: float) -> float:
 def take_slot(count: wp.array(dtype=int), w: int, world: World, contacts: Contacts) -> int:
     """The next free slot of a world's list; marks the world overfull and returns -1 if there is none."""
     slot = wp.atomic_add(count, w, 1)
-    if slot >= contacts.room * world.size:
+    if slot >= contacts.room * world.room:
         contacts.overfull[w] = 1
         return -1
     return contacts.room * world.first + slot
@@ -161,7 +162,7 @@ def take_slot(count: wp.array(dtype=int), w: int, world: World, contacts: Contac
 @wp.func
 def entries(count: wp.array(dtype=int), w: int, world: World, contacts: Contacts) -> int:
     """Number of entries in a world's list."""
-    return wp.min(count[w], contacts.room * world.size)
+    return wp.min(count[w], contacts.room * world.room)
 
 
 @wp.func

@@ -230,14 +230,28 @@ def test_a_dress_hangs_from_its_shoulders() -> None:
     assert np.flatnonzero(holds(dress)[0].any(axis=1)).tolist() == list(range(6, 9))  # at the neck alone
 
 
-def test_an_overfull_contact_list_is_reported() -> None:
-    job = on_a_ball(6)
-    folded = np.array(job.box_mesh.vertices)
-    folded[:, 1] = SIZE.waist_level + 5.0 + 0.001 * folded[:, 0]
-    folded[:, [0, 2]] *= 0.05
-    mesh = replace(job.box_mesh, vertices=folded)
-    config = DrapeConfig(contact_capacity=1, max_frames=2)
-    [drape] = drape_batch([DrapeJob(mesh, job.body, SIZE)], config, device="cpu")
+def folded(job: DrapeJob) -> DrapeJob:
+    """A job whose cloth lies in a heap."""
+    heap = np.array(job.box_mesh.vertices)
+    heap[:, 1] = SIZE.waist_level + 5.0 + 0.001 * heap[:, 0]
+    heap[:, [0, 2]] *= 0.05
+    return DrapeJob(replace(job.box_mesh, vertices=heap), job.body, SIZE)
+
+
+def test_a_garment_with_more_contacts_than_room_is_draped_with_more_room() -> None:
+    """It drapes as it does with that room from the start; others in the batch drape on."""
+    jobs = [on_a_ball(6), folded(on_a_ball(6))]
+    config = DrapeConfig(contact_capacity=12, max_frames=3, most_drapes=1)
+    apart, heap = drape_batch(jobs, config, device="cpu", at_once=1)
+    assert heap.outcome is not Outcome.OVERFULL
+    [roomy] = drape_batch(jobs[1:], replace(config, contact_capacity=128), device="cpu")
+    assert np.array_equal(heap.vertices, roomy.vertices)
+    assert apart.frames <= config.max_frames
+
+
+def test_an_overfull_contact_list_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.generator.drape.batches.MOST_ROOM", 1)
+    [drape] = drape_batch([folded(on_a_ball(6))], DrapeConfig(contact_capacity=1, max_frames=2), device="cpu")
     assert drape.outcome is Outcome.OVERFULL
 
 
