@@ -27,6 +27,7 @@ from gcd_dataset.records import Body, BodyPart
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
 BAND = 4.0  # cm outside the skin in which distances are exact
+LEAF = 1  # faces in a leaf of the BVH on a GPU: fields take a quarter less time than with Warp's default of 4
 CACHED = 8  # fields and skins kept for later drapes
 HOSTS_CACHED = 32  # host fields kept, 0.4 MB each
 FOREARM = 30  # part number of an arm from the elbow to the finger tips; no value of ``BodyPart``
@@ -266,9 +267,10 @@ def _make_fields(given: Sequence[tuple[Body, HostField]], device: str) -> list[B
         wp.array(one.skin.points(body.vertices).astype(np.float32), dtype=wp.vec3, device=device)
         for one, (body, _) in zip(known, given, strict=True)
     ]
+    leaf = None if device == "cpu" else LEAF
     with native_builds(device):
         meshes = [
-            wp.Mesh(points=at, indices=triangles[id(one)], support_winding_number=True)
+            wp.Mesh(at, triangles[id(one)], support_winding_number=True, bvh_leaf_size=leaf)
             for at, one in zip(points, known, strict=True)
         ]
     for host, mesh, one in zip(hosts, meshes, known, strict=True):

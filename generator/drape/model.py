@@ -35,7 +35,7 @@ UNTANGLING = 24000.0  # cm/s², acceleration that shortens intersection contours
 PULLING = 12000.0  # cm/s², acceleration of crossing cloth toward its own body part
 SAMPLE = 8  # medians are taken over every eighth vertex or edge
 COARSE_GAP = 2.5  # layer distance of coarse cloth, as a multiple of that of fine cloth
-INERTIA_GAIN = 1.3  # inertia over mass at the median vertex: added inertia allows a longer time step
+INERTIA_GAIN = 4.0  # inertia over mass at the median vertex: added inertia allows a longer time step
 
 
 @dataclass(frozen=True)

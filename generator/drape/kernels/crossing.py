@@ -44,7 +44,7 @@ def clear_tangled(
         tangled[i] = 0
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 4))
 def find_crossings(
     # model
     worlds: wp.array(dtype=World),

@@ -272,7 +272,7 @@ def count_near_work(
     contacts.own_work[w] = work
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 3))
 def find_contacts(
     # model
     worlds: wp.array(dtype=World),

@@ -49,7 +49,8 @@ def hold(i: int, here: wp.vec3, before: wp.vec3, world: World, cloth: ClothArray
     return wp.min(depth, approach + HOLDING_SPEED * world.dt) * normal
 
 
-@wp.kernel
+# H200, 894 000 vertices: 123 µs; with Warp's defaults, which take 80 registers a thread, 147 µs.
+@wp.kernel(grid_stride=False, launch_bounds=(256, 4))
 def step(
     # model
     worlds: wp.array(dtype=World),
