@@ -317,10 +317,10 @@ class Lane:
         state, vertices = self._slots.solver.state, self._slots.solver.model.vertices
         time, held, overfull = self._slots.solver.mirror.fetch(state.time, state.held, state.contacts.overfull)
         return {
-            w: CoarseEnd(
+            w: CoarseEnd.of(
                 coarse,
-                wp.clone(state.x[vertices[w]]),
-                wp.clone(state.v[vertices[w]]),
+                state.x[vertices[w]],
+                state.v[vertices[w]],
                 time=float(time[w]),
                 held=int(held[w]),
                 overfull=int(overfull[w]),

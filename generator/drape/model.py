@@ -35,7 +35,8 @@ UNTANGLING = 24000.0  # cm/s², acceleration that shortens intersection contours
 PULLING = 12000.0  # cm/s², acceleration of crossing cloth toward its own body part
 SAMPLE = 8  # medians are taken over every eighth vertex or edge
 COARSE_GAP = 2.5  # layer distance of coarse cloth, as a multiple of that of fine cloth
-INERTIA_GAIN = 4.0  # inertia over mass at the median vertex: added inertia allows a longer time step
+INERTIA_GAIN = 2.0  # inertia over mass at the median vertex: added inertia allows a longer time step
+COARSE_INERTIA_GAIN = 4.0  # of a coarse mesh
 
 
 @dataclass(frozen=True)
@@ -103,10 +104,12 @@ def build_model(
         for ends in (topology.vertex_offset, topology.edge_offset, topology.face_offset)
     )
     ratios, medians, lengths = _scales(topology, vertices, edges, device)
-    # After the last read from the device above, which would wait for the fields.
+    # Stable at ``gains`` times the median mass per stiffness.
+    gains = [COARSE_INERTIA_GAIN if k in coarse else INERTIA_GAIN for k in range(len(jobs))]
+    steps = np.sqrt(SAFETY * STABLE * np.array(gains) * np.array(ratios))
+    cloth = _cloth(constraints, config, topology, _inertia(topology, steps, device), device)
+    # After the reads and large copies above: those would wait until the fields are filled.
     bodies = body_fields([job.body for job in jobs], device, fields)
-    # Stable at ``INERTIA_GAIN`` times the median mass per stiffness.
-    steps = np.sqrt(SAFETY * STABLE * INERTIA_GAIN * np.array(ratios))
     times = sewing_times or [config.sewing_time] * len(jobs)
     worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0, times[k]) for k, job in enumerate(jobs)]
     for k, (world, median) in enumerate(zip(worlds, medians, strict=True)):
@@ -121,7 +124,6 @@ def build_model(
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)
         world.field_cell = body.cell
-    cloth = _cloth(constraints, config, topology, _inertia(topology, steps, device), device)
     cloth.axes = wp.array(np.concatenate([body.axes for body in bodies]), dtype=wp.vec3, device=device)
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
     face_world = np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset))

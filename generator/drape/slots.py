@@ -6,6 +6,7 @@ faces in proportion; its drape does not depend on its place.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import warp as wp
@@ -31,7 +32,10 @@ THREADS = 256  # that clear one place on a GPU
 class CoarseEnd:
     """The end of a garment's coarse drape, from which its fine drape starts."""
 
-    mesh: CoarseMesh
+    corners: wp.array
+    """See ``CoarseMesh.corners``."""
+    weights: wp.array
+    """See ``CoarseMesh.weights``."""
     x: wp.array
     """Positions [cm]."""
     v: wp.array
@@ -41,6 +45,13 @@ class CoarseEnd:
     held: int
     overfull: int
     """1 where a contact list was full: which contacts were dropped is not deterministic, nor is the drape."""
+
+    @classmethod
+    def of(cls, mesh: CoarseMesh, x: wp.array, v: wp.array, *, time: float, held: int, overfull: int) -> Self:
+        """The end of a drape of ``mesh`` at positions ``x`` [cm] and velocities ``v`` [cm/s]."""
+        corners = wp.array(mesh.corners.astype(np.int32), dtype=wp.vec3i, device=x.device)
+        weights = wp.array(mesh.weights.astype(np.float32), dtype=wp.vec3, device=x.device)
+        return cls(corners, weights, wp.clone(x), wp.clone(v), time, held, overfull)
 
 
 def room_for(mesh: BoxMesh) -> int:
@@ -185,11 +196,8 @@ class Slots:
         self.solver.rebuild_bvh_next()
 
     def _interpolate(self, start: CoarseEnd, vertices: slice, x: wp.array, v: wp.array) -> None:
-        device = self.solver.model.device
-        corners = wp.array(start.mesh.corners.astype(np.int32), dtype=wp.vec3i, device=device)
-        weights = wp.array(start.mesh.weights.astype(np.float32), dtype=wp.vec3, device=device)
-        inputs = [corners, weights, vertices.start, start.x, start.v]
-        self._launch(kernels.interpolate, len(corners), inputs, [x, v])
+        inputs = [start.corners, start.weights, vertices.start, start.x, start.v]
+        self._launch(kernels.interpolate, len(start.corners), inputs, [x, v])
 
     def _launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.solver.model.device)

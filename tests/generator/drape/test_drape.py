@@ -259,7 +259,7 @@ def test_an_overfull_contact_list_of_the_coarse_pass_is_reported() -> None:
     job, config = on_a_ball(9), DrapeConfig()
     coarse = coarsen(job.box_mesh)
     first = Solver(build_model([replace(job, box_mesh=coarse.mesh)], config, "cpu", coarse=[0]), config)
-    end = CoarseEnd(coarse, first.state.x, first.state.v, time=0.0, held=1, overfull=1)
+    end = CoarseEnd.of(coarse, first.state.x, first.state.v, time=0.0, held=1, overfull=1)
     slots = Slots(room_for(job.box_mesh), 1, config, "cpu")
     assert slots.place(build_model([job], config, "cpu"), [end]) == [0]
     [drape] = collect(slots.solver, [job], [0])
