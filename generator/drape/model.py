@@ -35,8 +35,7 @@ UNTANGLING = 24000.0  # cm/s², acceleration that shortens intersection contours
 PULLING = 12000.0  # cm/s², acceleration of crossing cloth toward its own body part
 SAMPLE = 8  # medians are taken over every eighth vertex or edge
 COARSE_GAP = 2.5  # layer distance of coarse cloth, as a multiple of that of fine cloth
-INERTIA_GAIN = 2.0  # inertia over mass at the median vertex: added inertia allows a longer time step
-COARSE_INERTIA_GAIN = 4.0  # of a coarse mesh
+INERTIA_GAIN = 4.0  # inertia over mass at the median vertex: added inertia allows a longer time step
 
 
 @dataclass(frozen=True)
@@ -104,9 +103,8 @@ def build_model(
         for ends in (topology.vertex_offset, topology.edge_offset, topology.face_offset)
     )
     ratios, medians, lengths = _scales(topology, vertices, edges, device)
-    # Stable at ``gains`` times the median mass per stiffness.
-    gains = [COARSE_INERTIA_GAIN if k in coarse else INERTIA_GAIN for k in range(len(jobs))]
-    steps = np.sqrt(SAFETY * STABLE * np.array(gains) * np.array(ratios))
+    # Stable at ``INERTIA_GAIN`` times the median mass per stiffness.
+    steps = np.sqrt(SAFETY * STABLE * INERTIA_GAIN * np.array(ratios))
     cloth = _cloth(constraints, config, topology, _inertia(topology, steps, device), device)
     # After the reads and large copies above: those would wait until the fields are filled.
     bodies = body_fields([job.body for job in jobs], device, fields)

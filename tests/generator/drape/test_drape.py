@@ -94,7 +94,7 @@ def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(
     in_two_batches = dict(drape_unordered(iter(jobs), config, device="cpu", at_once=3, lanes=2))
     assert [in_turn[number] for number in range(len(jobs))] == alone
     assert [in_two_batches[number] for number in range(len(jobs))] == alone
-    assert len({drape.frames for drape in alone}) > 2  # drapes end at different times
+    assert len({drape.frames for drape in alone}) > 1  # drapes end at different times
 
 
 def test_jobs_may_wait_for_threads_that_launch_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
