@@ -17,6 +17,7 @@ CLEAR = wp.constant(f64(0.60))  # pitches: least distance of a lattice point fro
 APART = wp.constant(f64(0.80))  # circumradii: least distance of a seed of the refinement from all points
 FLAT = wp.constant(f64(1.0e-12))  # square spacings: a corner of the outline with a smaller triangle is not clipped
 THIN = wp.constant(f64(1.0e-9))  # spacings: where a triangle is less high, the outline touches itself
+CLEARLY = wp.constant(f64(1.0e-9))  # square spacings: twice the area between a side and a point that is not on it
 EQUAL = wp.constant(f64(1.0e-12))  # relative: a point so near to a circle lies on it
 LONGEST_WALK = wp.constant(64)  # triangles; then all are searched
 
@@ -236,11 +237,8 @@ def mark_lattice(points: Points, cells: Numbers, n: int, rows: int, columns: int
 
 
 @wp.func
-def face_at(points: Points, faces: Rows, beside: Rows, start: int, count: int, p: wp.vec2d) -> int:
-    """The triangle that holds a point: by a walk from ``start``, or by a search where the walk ends at the outline.
-
-    For a point outside all triangles ``OUTSIDE``.
-    """
+def walk_to(points: Points, faces: Rows, beside: Rows, start: int, p: wp.vec2d) -> int:
+    """The triangle that holds a point, by a walk from ``start``; ``OUTSIDE`` if the walk ends at the outline."""
     face = int(start)
     for _step in range(LONGEST_WALK):
         onward = int(-2)
@@ -250,11 +248,25 @@ def face_at(points: Points, faces: Rows, beside: Rows, start: int, count: int, p
         if onward == -2:
             return face
         if onward == OUTSIDE:
-            break
+            return OUTSIDE
         face = onward
+    return OUTSIDE
+
+
+@wp.func
+def clearance(points: Points, faces: Rows, face: int, p: wp.vec2d) -> f64:
+    """Twice the least area between a point and a side of a triangle, negative outside of it."""
+    a = corner(points, faces, face, 0)
+    b = corner(points, faces, face, 1)
+    c = corner(points, faces, face, 2)
+    return wp.min(wp.min(turn(a, b, p), turn(b, c, p)), turn(c, a, p))
+
+
+@wp.func
+def search(points: Points, faces: Rows, count: int, p: wp.vec2d) -> int:
+    """The first triangle that holds a point, its sides included; for a point outside all triangles ``OUTSIDE``."""
     for face in range(count):
-        a = corner(points, faces, face, 0)
-        if in_triangle(a, corner(points, faces, face, 1), corner(points, faces, face, 2), p):
+        if clearance(points, faces, face, p) >= ZERO:
             return face
     return OUTSIDE
 
@@ -428,7 +440,19 @@ def fill(
                     start = last
                     if near > 1:
                         start = touching[near]
-                    face = face_at(points, faces, beside, start, count, points[m])
+                    face = walk_to(points, faces, beside, start, points[m])
+                    for other in range(1, 4):  # round a corner of the outline: from the other lattice points beside it
+                        near_j = j - j % (2 * stride) + 2 * stride * (other % 2)
+                        near_i = i - i % (2 * stride) + 2 * stride * (other // 2)
+                        if face < 0 and near_j < rows and near_i < columns:
+                            near = cells[near_j * columns + near_i]
+                            if near > 1:
+                                face = walk_to(points, faces, beside, touching[near], points[m])
+                                if face >= 0:
+                                    if clearance(points, faces, face, points[m]) <= CLEARLY * spacing * spacing:
+                                        face = OUTSIDE  # on a side: the search decides which triangle holds the point
+                    if face < 0:
+                        face = search(points, faces, count, points[m])
                     if face >= 0:
                         stamp += 1
                         grown = insert(
@@ -533,14 +557,16 @@ def find(
             (p[0] - option[0]) / pitch,
             last,
         )
-        face = face_at(points, faces, beside, start, count, p)
+        face = walk_to(points, faces, beside, start, p)
+        if face < 0:
+            face = search(points, faces, count, p)
         if face < 0:
             best = f64(-1.0e30)
             for other in range(count):
                 a = corner(points, faces, other, 0)
                 b = corner(points, faces, other, 1)
                 c = corner(points, faces, other, 2)
-                inside = wp.min(wp.min(turn(a, b, p), turn(b, c, p)), turn(c, a, p)) / turn(a, b, c)
+                inside = clearance(points, faces, other, p) / turn(a, b, c)
                 if inside > best:
                     best = inside
                     face = other
