@@ -41,12 +41,6 @@ def corner(points: Points, faces: Rows, face: int, k: int) -> wp.vec2d:
 
 
 @wp.func
-def in_triangle(a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, p: wp.vec2d) -> bool:
-    """Whether a triangle holds a point, its sides included."""
-    return turn(a, b, p) >= ZERO and turn(b, c, p) >= ZERO and turn(c, a, p) >= ZERO
-
-
-@wp.func
 def in_circle(a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, p: wp.vec2d) -> bool:
     """Whether a point lies inside the circumcircle of a triangle; rounding puts no point of the circle inside."""
     a = a - p
@@ -110,9 +104,13 @@ def clip_ears(
         while is_ear and q != a:
             # Only a point where the outline is not convex can be the first inside an ear.
             if convex[q] == 0:
-                if in_triangle(points[a], points[k], points[b], points[q]):
-                    is_ear = False
-                    in_the_way = q
+                p = points[q]
+                # Most points lie beyond the diagonal. Nested, since all operands of ``and`` are computed.
+                if turn(points[b], points[a], p) >= ZERO:
+                    if turn(points[a], points[k], p) >= ZERO:
+                        if turn(points[k], points[b], p) >= ZERO:
+                            is_ear = False
+                            in_the_way = q
             q = after[q]
         if is_ear:
             set_face(faces, count, a, k, b)
@@ -243,8 +241,9 @@ def walk_to(points: Points, faces: Rows, beside: Rows, start: int, p: wp.vec2d) 
     for _step in range(LONGEST_WALK):
         onward = int(-2)
         for side in range(3):
-            if onward < 0 and turn(corner(points, faces, face, side), corner(points, faces, face, side + 1), p) < ZERO:
-                onward = beside[face, side]
+            if onward < 0:
+                if turn(corner(points, faces, face, side), corner(points, faces, face, side + 1), p) < ZERO:
+                    onward = beside[face, side]
         if onward == -2:
             return face
         if onward == OUTSIDE:
@@ -260,6 +259,20 @@ def clearance(points: Points, faces: Rows, face: int, p: wp.vec2d) -> f64:
     b = corner(points, faces, face, 1)
     c = corner(points, faces, face, 2)
     return wp.min(wp.min(turn(a, b, p), turn(b, c, p)), turn(c, a, p))
+
+
+@wp.func
+def first_of_two(points: Points, faces: Rows, beside: Rows, face: int, least: f64, p: wp.vec2d) -> int:
+    """The triangle that ``search`` finds for a point in a triangle: on a side, the first of the two beside it."""
+    first = int(face)
+    if face >= 0:
+        for side in range(3):
+            if turn(corner(points, faces, face, side), corner(points, faces, face, side + 1), p) <= least:
+                g = beside[face, side]
+                if g >= 0 and g < first:
+                    if clearance(points, faces, g, p) >= ZERO:
+                        first = g
+    return first
 
 
 @wp.func
@@ -448,9 +461,7 @@ def fill(
                             near = cells[near_j * columns + near_i]
                             if near > 1:
                                 face = walk_to(points, faces, beside, touching[near], points[m])
-                                if face >= 0:
-                                    if clearance(points, faces, face, points[m]) <= CLEARLY * spacing * spacing:
-                                        face = OUTSIDE  # on a side: the search decides which triangle holds the point
+                                face = first_of_two(points, faces, beside, face, CLEARLY * spacing * spacing, points[m])
                     if face < 0:
                         face = search(points, faces, count, points[m])
                     if face >= 0:
@@ -510,7 +521,7 @@ def fill(
         a = corner(points, faces, face, 0)
         b = corner(points, faces, face, 1)
         c = corner(points, faces, face, 2)
-        base = wp.max(wp.max(wp.length(b - a), wp.length(c - b)), wp.length(a - c))
+        base = wp.sqrt(wp.max(wp.max(wp.length_sq(b - a), wp.length_sq(c - b)), wp.length_sq(a - c)))
         if turn(a, b, c) < THIN * spacing * base:
             size[1] = -1 - wp.min(wp.min(faces[face, 0], faces[face, 1]), faces[face, 2])
 
