@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import splu
 
+from gcd_dataset.generator.mesh.rows import distinct, stable_order
 from gcd_dataset.generator.mesh.triangulate import flat_areas
 from gcd_dataset.records import BoxMesh
 
@@ -45,9 +46,7 @@ class FlatCloth:
     @cached_property
     def vertices(self) -> Int[np.ndarray, " n"]:
         """The vertices of the faces, in ascending order."""
-        used = np.zeros(self.size, bool)
-        used[self.faces] = True
-        return np.flatnonzero(used)
+        return distinct(self.faces, self.size)
 
     @cached_property
     def edges(self) -> tuple[Int[np.ndarray, "e 2"], Float[np.ndarray, " e"]]:
@@ -62,7 +61,7 @@ class FlatCloth:
         low, high, _ = self._sides
         start = np.flatnonzero(self._key_changes)
         alone = start[np.diff(start, append=len(low)) == 1]
-        return np.unique([low[alone], high[alone]])
+        return distinct(np.stack([low[alone], high[alone]]), self.size)
 
     def distance_from(self, start: Int[np.ndarray, " s"]) -> Float[np.ndarray, " v"]:
         """(v) shortest path along edges from the ``start`` vertices to each vertex [cm]; 0 without a path."""
@@ -118,7 +117,7 @@ class FlatCloth:
         u, v = self.uv[:, :, 0].T, self.uv[:, :, 1].T
         length = np.hypot(u[[1, 2, 0]] - u, v[[1, 2, 0]] - v).ravel()
         low, high = np.minimum(a, b), np.maximum(a, b)
-        order = np.argsort(low * np.int64(self.size) + high)
+        order = stable_order(low * np.int64(self.size) + high)
         return low[order], high[order], length[order]
 
     @cached_property

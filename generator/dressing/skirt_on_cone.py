@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.generator.body.limbs import Limb
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
+from gcd_dataset.generator.mesh.rows import distinct
 from gcd_dataset.records import BoxMesh, EdgeRole
 
 RISE = 5.0  # cm: a skirt that reaches further above its top starts on a cone
@@ -71,7 +72,7 @@ class Skirt:
             return True
         height, down = self.mesh.vertices[:, 1], self._down
         for panel in np.unique(self._panel):
-            own = np.unique(self.cloth.faces[self._panel == panel])
+            own = distinct(self.cloth.faces[self._panel == panel], self.cloth.size)
             first = own[down[own] <= down[own].min() + TOP_BAND]
             if (height[own] + SLOPE * (down[own] - down[own].min())).max() > height[first].max() + RISE:
                 return True

@@ -12,6 +12,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.mesh.rows import stable_order
 from gcd_dataset.generator.mesh.stitch import MOST_POINTS, proper_faces
 from gcd_dataset.generator.mesh.triangulate import Quality, lattice_size, triangulator
 from gcd_dataset.records import BoxMesh
@@ -54,7 +55,7 @@ def _border_sides(mesh: BoxMesh) -> Int[np.ndarray, " b"]:
     near = np.flatnonzero(on_border[start] & on_border[end])
     start, end = start[near], end[near]
     key = np.minimum(start, end) * np.int64(len(mesh.uv)) + np.maximum(start, end)
-    order = np.argsort(key)
+    order = stable_order(key)
     changed = np.diff(key[order], prepend=-1, append=-1) != 0
     return np.sort(near[order[changed[:-1] & changed[1:]]])
 

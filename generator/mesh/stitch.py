@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.curves import curve_length, sample_curve
 from gcd_dataset.errors import MeshError, PatternError
+from gcd_dataset.generator.mesh.rows import distinct, stable_order
 from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
 
 MOST_POINTS = 1_500_000  # points of a pattern: the largest panel accepted, ten metres square, at 1 cm
@@ -175,16 +176,19 @@ def _require_darts(
     group: Int[np.ndarray, " c"], sewn: SewnPoints, panel: Int[np.ndarray, " c"], seams: tuple[Seam, ...]
 ) -> None:
     """Raise ``MeshError`` for points of one panel that become one vertex, but not by seams within that panel."""
-    members = np.unique(np.concatenate([sewn.left, sewn.right]))
-    if len(np.unique(panel[members] * (group.max() + 1) + group[members])) == len(members):
+    members = distinct(np.concatenate([sewn.left, sewn.right]), len(panel))
+    place = panel[members] * len(panel) + group[members]
+    order = stable_order(place)
+    members, double = members[order], np.flatnonzero(np.diff(place[order]) == 0)
+    if not len(double):
         return
     within = panel[sewn.left] == panel[sewn.right]
-    explained = _groups(len(panel), sewn.left[within], sewn.right[within])
+    explained = _groups(len(panel), sewn.left[within], sewn.right[within])[members]
     # All points of one panel in one vertex must be connected by the seams within the panel.
-    triples = np.unique(np.stack([panel[members], group[members], explained[members]]), axis=1)
-    double = np.flatnonzero((np.diff(triples[:2], axis=1) == 0).all(axis=0))
+    double = double[explained[double] != explained[double + 1]]
     if len(double):
-        joined = (panel == triples[0, double[0]]) & (group == triples[1, double[0]])
+        first = members[double[0]]
+        joined = (panel == panel[first]) & (group == group[first])
         pairs = np.flatnonzero(joined[sewn.left] | joined[sewn.right])
         number = int(sewn.seam[pairs[-1]])
         raise MeshError(
