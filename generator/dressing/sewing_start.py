@@ -21,6 +21,7 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb, roll_round_limb
+from gcd_dataset.generator.mesh.rows import distinct
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, PanelRole
 from gcd_dataset.spec import is_trouser_leg
 
@@ -56,7 +57,7 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     if skirt is not None and on_cone:
         skirt.place_on_cone(limbs[BodyPart.TRUNK], placed)
     elif skirts.any():
-        _end_above_feet(np.unique(mesh.faces[skirts[mesh.panel_id]]), body, placed)
+        _end_above_feet(distinct(mesh.faces[skirts[mesh.panel_id]], len(placed)), body, placed)
     arms = [(limbs[p], side) for p, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)) if p in limbs]
     for arm, side in arms if bodice else ():
         _fit_between_arms(mesh, roles, arm, side, placed)
@@ -64,34 +65,32 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
         sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces, 0].sum(axis=1) > 0.0)
         if not roll_round_limb(mesh, sleeve, arm, placed):
             put_on_limb(mesh, sleeve, arm, placed)
-    for part, side in ((BodyPart.LEFT_LEG, 1.0), (BodyPart.RIGHT_LEG, -1.0)) if trousers.any() else ():
-        if (leg := leg_of(body, part)) is not None:
-            _put_on_leg(mesh, trousers, leg, side, placed)
+    if trousers.any():
+        _put_on_legs(mesh, trousers, body, placed)
     return placed
 
 
-def _put_on_leg(
-    mesh: BoxMesh,
-    trousers: Bool[np.ndarray, " p"],
-    leg: Limb,
-    side: float,
-    placed: Float[np.ndarray, "v 3"],
-) -> None:
-    """Put a trouser leg, below the crotch, on the leg, in ``placed``; ``side``: 1 for the left side, -1 for the right.
+def _put_on_legs(mesh: BoxMesh, trousers: Bool[np.ndarray, " p"], body: Body, placed: Float[np.ndarray, "v 3"]) -> None:
+    """Put trouser legs, below the crotch, on the legs, in ``placed``.
 
     The crotch is the lowest point at which both trouser legs meet.
     """
-    centres = mesh.vertices[mesh.faces].mean(axis=1)
+    x, y = (mesh.vertices[:, axis][mesh.faces].mean(axis=1) for axis in (0, 1))
     faces = np.bincount(mesh.panel_id, minlength=len(trousers))
-    panel_x = np.bincount(mesh.panel_id, centres[:, 0], minlength=len(trousers)) / np.maximum(faces, 1)
-    left, right = ((trousers & (way * panel_x > 0.0))[mesh.panel_id] for way in (1.0, -1.0))
-    joined = np.intersect1d(mesh.faces[left], mesh.faces[right])
-    if len(joined):
-        crotch = float(mesh.vertices[joined, 1].min()) - UNDER_CROTCH
-        below = (left if side > 0.0 else right) & (centres[:, 1] < crotch)
-        put_on_limb(mesh, below, leg, placed, gap=LEG_GAP, loose=LOOSE_HEM)
-        if below.any() and abs(leg.axis[1]) > UPRIGHT:
-            _keep_off_the_other_leg(np.unique(mesh.faces[below]), leg, side, placed)
+    panel_x = np.bincount(mesh.panel_id, x, minlength=len(trousers)) / np.maximum(faces, 1)
+    sides = [(trousers & (side * panel_x > 0.0))[mesh.panel_id] for side in (1.0, -1.0)]
+    left, right = np.zeros((2, len(mesh.vertices)), bool)
+    left[mesh.faces[sides[0]]] = right[mesh.faces[sides[1]]] = True
+    joined = left & right
+    if not joined.any():
+        return
+    crotch = float(mesh.vertices[joined, 1].min()) - UNDER_CROTCH
+    for part, side, faces_of_side in zip(LEGS[:2], (1.0, -1.0), sides, strict=True):
+        below = faces_of_side & (y < crotch)
+        if (leg := leg_of(body, part)) is not None:
+            put_on_limb(mesh, below, leg, placed, gap=LEG_GAP, loose=LOOSE_HEM)
+            if below.any() and abs(leg.axis[1]) > UPRIGHT:
+                _keep_off_the_other_leg(distinct(mesh.faces[below], len(placed)), leg, side, placed)
 
 
 def _keep_off_the_other_leg(
