@@ -201,8 +201,9 @@ class Piece:
         """
         if self.rotation == UNTURNED:  # nearly all pieces: upright, in front or behind
             return self._runs_outwards(self.translation[2])
-        corners = self.placement.apply(np.array([stroke.start for stroke in self.outline.strokes]))
-        centre, normal = corners.mean(axis=0), self.placement.matrix[:, 2]
+        placement = self.placement
+        corners = placement.apply(np.array([stroke.start for stroke in self.outline.strokes]))
+        centre, normal = corners.mean(axis=0), placement.matrix[:, 2]
         lies_flat = bool(abs(normal[1]) > LYING_FLAT)
         outward = float(normal[1] if lies_flat else normal[0] * centre[0] + normal[2] * centre[2])
         return self._runs_outwards(outward)
