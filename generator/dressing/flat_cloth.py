@@ -66,7 +66,7 @@ class FlatCloth:
     def distance_from(self, start: Int[np.ndarray, " s"]) -> Float[np.ndarray, " v"]:
         """(v) shortest path along edges from the ``start`` vertices to each vertex [cm]; 0 without a path."""
         ends, length = self.edges
-        graph = csr_array((length, (ends[:, 0], ends[:, 1])), shape=(self.size, self.size))
+        graph = _graph(length, ends[:, 0], ends[:, 1], self.size)
         distance = dijkstra(graph, directed=False, indices=start, min_only=True)
         return np.where(np.isfinite(distance), distance, 0.0)
 
@@ -80,8 +80,7 @@ class FlatCloth:
         result, is_free = np.zeros(self.size), np.ones(self.size, bool)
         result[fixed], is_free[fixed] = values, False
         known, is_free = result[self.vertices], is_free[self.vertices]
-        graph = csr_array((weight, (low, high)), shape=(len(total), len(total)))
-        _, piece = connected_components(graph, directed=False)
+        _, piece = connected_components(_graph(weight, low, high, len(total)), directed=False)
         bounded = np.zeros(piece.max(initial=0) + 1, bool)
         bounded[piece[~is_free]] = True
         is_free &= bounded[piece]
@@ -150,3 +149,11 @@ class FlatCloth:
         """Marks the first side of each edge."""
         low, high, _, _ = self._sides
         return np.diff(low * np.int64(self.size) + high, prepend=-1) != 0
+
+
+def _graph(
+    values: Float[np.ndarray, " e"], low: Int[np.ndarray, " e"], high: Int[np.ndarray, " e"], size: int
+) -> csr_array:
+    """A graph of ``size`` vertices, from edges sorted by their ends."""
+    starts = np.concatenate([[0], np.cumsum(np.bincount(low, minlength=size))])
+    return csr_array((values, np.ascontiguousarray(high, np.int32), starts.astype(np.int32)), shape=(size, size))

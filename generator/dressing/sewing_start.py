@@ -130,12 +130,13 @@ def _end_above_feet(rows: Int[np.ndarray, " n"], body: Body, placed: Float[np.nd
     aside = x - 0.5 * float(at_top.min() + at_top.max())
     height = top - (top - height) * (top - ankle) / (top - hem)
     slices, leg_slices = (np.floor(y / SLICE).astype(int) for y in (height, both[:, 1]))
-    for number in np.unique(slices):
-        here, beside = slices == number, np.abs(leg_slices - number) <= 1
-        need = float(np.abs(both[beside, 0] - middle).max(initial=-SKIRT_GAP)) + SKIRT_GAP
-        for side in (1.0, -1.0):
-            own = here & (side * aside > 0.0)
-            aside[own] *= max(1.0, need / float(np.abs(aside[own]).max(initial=SLICE)))
+    slices, count, beside, leg_slices = _from_lowest(slices, leg_slices)
+    need = _most_beside(leg_slices, np.abs(both[beside, 0] - middle), count, least=-SKIRT_GAP) + SKIRT_GAP
+    for side in (1.0, -1.0):
+        own = side * aside > 0.0
+        reach = np.full(count, SLICE)
+        np.maximum.at(reach, slices[own], np.abs(aside[own]))
+        aside[own] *= np.maximum(1.0, need / reach)[slices[own]]
     placed[rows, 0], placed[rows, 1] = middle + aside, height
 
 
@@ -143,9 +144,30 @@ def _ankle_height(legs: Float[np.ndarray, "n 3"], body: Body) -> float:
     """Height of the ankles, where legs with feet are least deep [cm]; some segmentations count feet as legs."""
     floor, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
     slices = np.floor((legs[:, 1] - floor) / SLICE).astype(int)
-    low = [number for number in np.unique(slices) if (number + 1) * SLICE < ANKLES_BELOW * (top - floor)]
-    depths = [np.ptp(legs[slices == number, 2]) for number in low]
-    return floor + (low[int(np.argmin(depths))] + 1) * SLICE if low else floor
+    lowest = (slices + 1) * SLICE < ANKLES_BELOW * (top - floor)
+    depth, slices = legs[lowest, 2], slices[lowest]
+    low = np.unique(slices)
+    depths = [np.ptp(depth[slices == number]) for number in low]
+    return floor + (low[int(np.argmin(depths))] + 1) * SLICE if len(low) else floor
+
+
+def _from_lowest(
+    slices: Int[np.ndarray, " n"], others: Int[np.ndarray, " m"]
+) -> tuple[Int[np.ndarray, " n"], int, Bool[np.ndarray, " m"], Int[np.ndarray, " k"]]:
+    """Slices counted from the lowest, their number, and the others at or beside one of them, counted likewise."""
+    lowest = int(slices.min())
+    count = int(slices.max()) - lowest + 1
+    beside = (others >= lowest - 1) & (others <= lowest + count)
+    return slices - lowest, count, beside, others[beside] - lowest
+
+
+def _most_beside(
+    slices: Int[np.ndarray, " k"], values: Float[np.ndarray, " k"], count: int, *, least: float
+) -> Float[np.ndarray, " c"]:
+    """The largest value in each slice and the slices next to it; ``slices``: from -1 to ``count``."""
+    most = np.full(count + 2, least)
+    np.maximum.at(most, slices + 1, values)
+    return np.maximum(np.maximum(most[:-2], most[1:-1]), most[2:])
 
 
 def _fit_between_arms(
@@ -169,14 +191,17 @@ def _fit_between_arms(
     slices, arm_slices = (np.floor(y / SLICE).astype(int) for y in (height, arm.skin[:, 1]))
     armhole = mesh.vertices[mesh.labels.get(EdgeRole.LEFT_ARMHOLE if side > 0.0 else EdgeRole.RIGHT_ARMHOLE, []), 1]
     armpit = min(float(arm.skin[:, 1].max()) - ARMPIT, float(armhole.min(initial=np.inf)))
-    scale = 1.0
-    for number in np.unique(slices[height < armpit]):
-        beside = np.abs(arm_slices - number) <= 1
-        here = (slices == number) & (height < armpit)
-        if beside.any():
-            room = float((side * arm.skin[beside, 0]).min()) - ARM_GAP
-            scale = min(1.0, room / reach[here].max()) if room > 0.0 else 1.0
-            placed[bodice[here], 0] *= scale
+    scale, under = 1.0, height < armpit
+    if under.any():
+        slices, count, beside, arm_slices = _from_lowest(slices[under], arm_slices)
+        room = -_most_beside(arm_slices, -side * arm.skin[beside, 0], count, least=-np.inf) - ARM_GAP
+        widest = np.zeros(count)
+        np.maximum.at(widest, slices, reach[under])
+        scales = np.ones(count)
+        tight = np.flatnonzero((room > 0.0) & (room < widest))
+        scales[tight] = room[tight] / widest[tight]
+        placed[bodice[under], 0] *= scales[slices]
+        scale = scales[(widest > 0.0) & (room < np.inf)][-1:].min(initial=1.0)
     if scale < 1.0 and len(armhole) and not len(sleeve):
         above = height >= armpit
         share = np.clip((height[above] - armpit) / max(float(armhole.max()) - armpit, SLICE), 0.0, 1.0)
