@@ -21,7 +21,7 @@ from gcd_dataset.generator.garments.neckline import NecklineDesign, neckline_wid
 from gcd_dataset.generator.garments.shirt import UpperHalf, armhole_from_centre, right_half, right_torso
 from gcd_dataset.generator.garments.sleeve import sleeve_of
 from gcd_dataset.generator.garments.upper import Shirt
-from gcd_dataset.generator.pattern import Component, MeasuredJoin, Outline, measure_joins, panel_of
+from gcd_dataset.generator.pattern import Component, MeasuredJoin, Outline, Piece, measure_joins, panel_of
 from gcd_dataset.records import Measurements, Panel
 
 CLOTH_OFF_SKIN = 0.35  # cm between skin and cloth in a drape, ``DrapeConfig.body_gap``
@@ -141,10 +141,10 @@ def _sewing_fault(draw: Callable[[], Component], sound: SoundOutlines) -> Sewing
     """The first fault of a part of a garment: in drawing, in the match of its seams, or in a panel."""
     try:
         drawn = draw()
-        outlines = {
-            (piece.outline, piece.faces_out): piece for piece in reversed(drawn.pieces)
-        }  # the first of equal ones
-        panels = [panel_of(outlines[key]) for key in reversed(outlines) if key not in sound]
+        outlines: dict[tuple[Outline, bool], Piece] = {}
+        for piece in drawn.pieces:
+            outlines.setdefault((piece.outline, piece.faces_out), piece)
+        panels = [panel_of(piece) for key, piece in outlines.items() if key not in sound]
         if any(map(is_mismatched, measure_joins(drawn))):
             return SewingFault("mismatched_seam", "")
         fault = panel_fault(panels) if panels else None
