@@ -6,7 +6,7 @@ from math import ceil
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gcd_dataset.curves import curve_length, sample_curve
+from gcd_dataset.curves import Line, curve_length, sample_curve
 from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.generator.mesh.rows import distinct, stable_order
 from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
@@ -61,18 +61,27 @@ def sample_border(panel: Panel, counts: dict[EdgeRef, int]) -> Border:
     """
     if not panel.edges:
         raise MeshError(f"panel {panel.name} has no edges: draw its outline or remove the panel")
-    total = sum(counts[EdgeRef(panel.name, index)] - 1 for index in range(len(panel.edges)))
-    if total > MOST_POINTS:
+    sizes = [counts[EdgeRef(panel.name, index)] - 1 for index in range(len(panel.edges))]
+    if (total := sum(sizes)) > MOST_POINTS:
         raise MeshError(
             f"panel {panel.name} would get {total:.3g} points along its edges, over {MOST_POINTS:,}: "
             "use a coarser spacing"
         )
-    pieces = []
-    for index, edge in enumerate(panel.edges):
-        if edge.end != panel.edges[(index + 1) % len(panel.edges)].start:
+    starts = [edge.start for edge in panel.edges]
+    for index, (edge, following) in enumerate(zip(panel.edges, [*starts[1:], starts[0]], strict=True)):
+        if edge.end != following:
             raise MeshError(f"panel {panel.name}: edge {index} does not end where the next begins; close the loop")
-        pieces.append(sample_curve(*panel.edge_ends(index), edge.curve, counts[EdgeRef(panel.name, index)])[:-1])
-    return Border(np.concatenate(pieces), np.cumsum([0, *map(len, pieces)]))
+    # All edges at once as lines, which most are; then the curves.
+    corners, number = panel.vertices[starts], np.repeat(np.arange(len(sizes)), sizes)
+    first = np.cumsum([0, *sizes])
+    share = ((np.arange(total) - first[number]) * (1.0 / np.array(sizes))[number])[:, None]
+    points = (1.0 - share) * corners[number] + share * panel.vertices[[*starts[1:], starts[0]]][number] + 0.0
+    points[first[:-1]] = corners
+    for index, edge in enumerate(panel.edges):
+        if not isinstance(edge.curve, Line):
+            curve = sample_curve(*panel.edge_ends(index), edge.curve, sizes[index] + 1)
+            points[first[index] : first[index + 1]] = curve[:-1]
+    return Border(points, first)
 
 
 def _count(panel: Panel, index: int, spacing: float) -> int:
