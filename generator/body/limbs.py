@@ -97,7 +97,11 @@ def _points_of(body: Body, *parts: BodyPart) -> Float[np.ndarray, "n 3"]:
     if not len(points):
         return points
     columns = points.T.copy()  # NumPy reduces rows many times as fast as columns
-    low, high = np.percentile(columns, [OUTLIERS, 100 - OUTLIERS], axis=1, keepdims=True)
+    # As ``np.percentile``, which takes twice the time.
+    rank = np.array([OUTLIERS, 100 - OUTLIERS]) / 100 * (len(points) - 1)
+    below, above = np.floor(rank).astype(int), np.ceil(rank).astype(int)
+    ordered = np.partition(columns, np.unique([below, above]), axis=1)
+    low, high = (ordered[:, below] + (rank - below) * (ordered[:, above] - ordered[:, below])).T[:, :, None]
     return points[((columns >= low - OUTLIER_DISTANCE) & (columns <= high + OUTLIER_DISTANCE)).all(axis=0)]
 
 

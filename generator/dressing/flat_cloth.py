@@ -6,10 +6,11 @@ from typing import Self
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import splu
 
+from gcd_dataset.generator.mesh.rows import distinct, stable_order
 from gcd_dataset.generator.mesh.triangulate import flat_areas
 from gcd_dataset.records import BoxMesh
 
@@ -45,29 +46,27 @@ class FlatCloth:
     @cached_property
     def vertices(self) -> Int[np.ndarray, " n"]:
         """The vertices of the faces, in ascending order."""
-        used = np.zeros(self.size, bool)
-        used[self.faces] = True
-        return np.flatnonzero(used)
+        return distinct(self.faces, self.size)
 
     @cached_property
     def edges(self) -> tuple[Int[np.ndarray, "e 2"], Float[np.ndarray, " e"]]:
         """The ends of each edge, and its flat length [cm]; on a seam, the shorter of both lengths."""
-        low, high, length = self._sides
+        low, high, length, _ = self._sides
         first = np.flatnonzero(self._key_changes)
         return np.stack([low[first], high[first]], axis=1), np.minimum.reduceat(length, first)
 
     @cached_property
     def border(self) -> Int[np.ndarray, " b"]:
         """The vertices of the edges that belong to one face only."""
-        low, high, _ = self._sides
+        low, high, _, _ = self._sides
         start = np.flatnonzero(self._key_changes)
         alone = start[np.diff(start, append=len(low)) == 1]
-        return np.unique([low[alone], high[alone]])
+        return distinct(np.stack([low[alone], high[alone]]), self.size)
 
     def distance_from(self, start: Int[np.ndarray, " s"]) -> Float[np.ndarray, " v"]:
         """(v) shortest path along edges from the ``start`` vertices to each vertex [cm]; 0 without a path."""
         ends, length = self.edges
-        graph = csr_array((length, (ends[:, 0], ends[:, 1])), shape=(self.size, self.size))
+        graph = _graph(length, ends[:, 0], ends[:, 1], self.size)
         distance = dijkstra(graph, directed=False, indices=start, min_only=True)
         return np.where(np.isfinite(distance), distance, 0.0)
 
@@ -77,52 +76,84 @@ class FlatCloth:
         Discretised with the cotangent weights of Pinkall and Polthier (Experimental Mathematics 2(1), 1993), at least
         ``LEAST_WEIGHT``. 0 in connected components without fixed vertices.
         """
+        low, high, weight, total = self._laplacian()
+        result, is_free = np.zeros(self.size), np.ones(self.size, bool)
+        result[fixed], is_free[fixed] = values, False
+        known, is_free = result[self.vertices], is_free[self.vertices]
+        _, piece = connected_components(_graph(weight, low, high, len(total)), directed=False)
+        bounded = np.zeros(piece.max(initial=0) + 1, bool)
+        bounded[piece[~is_free]] = True
+        is_free &= bounded[piece]
+        if is_free.any():
+            row, size = np.cumsum(is_free) - 1, int(is_free.sum())
+            inner, rising, falling = (
+                np.flatnonzero(marks)
+                for marks in (
+                    is_free[low] & is_free[high],
+                    is_free[high] & ~is_free[low],
+                    is_free[low] & ~is_free[high],
+                )
+            )
+            a, b, diagonal = row[low[inner]], row[high[inner]], np.arange(size)
+            at = np.concatenate([a, diagonal, b]), np.concatenate([b, diagonal, a])  # each column in order of its rows
+            entries = np.concatenate([-weight[inner], total[is_free], -weight[inner]])
+            # Symmetric and positive definite: no pivots off the diagonal.
+            factors = splu(
+                csc_array((entries, at), shape=(size, size)),
+                "MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+            from_fixed = np.concatenate([-weight[rising] * known[low[rising]], -weight[falling] * known[high[falling]]])
+            to = np.concatenate([row[high[rising]], row[low[falling]]])
+            result[self.vertices[is_free]] = factors.solve(-np.bincount(to, from_fixed, minlength=size))
+        return result
+
+    def _laplacian(
+        self,
+    ) -> tuple[Int[np.ndarray, " e"], Int[np.ndarray, " e"], Float[np.ndarray, " e"], Float[np.ndarray, " n"]]:
+        """Rows of ``vertices`` at the ends of each edge, the edge's cotangent weight, and the sum at each vertex."""
         n, row = len(self.vertices), np.full(self.size, -1)
         row[self.vertices] = np.arange(n)
         corner, u, v = row[self.faces.T], self.uv[:, :, 0].T, self.uv[:, :, 1].T
-        start, end, weight = [], [], []
+        weights = []
         for k in range(3):
             a, b = (k + 1) % 3, (k + 2) % 3
             au, av, bu, bv = u[a] - u[k], v[a] - v[k], u[b] - u[k], v[b] - v[k]
             twice_area = np.maximum(np.abs(au * bv - av * bu), 1e-9)
-            weight.append(np.maximum((au * bu + av * bv) / twice_area, LEAST_WEIGHT))
-            start.append(corner[a])
-            end.append(corner[b])
-        i, j, w = (np.concatenate(part) for part in (start, end, weight))
-        total, diagonal = np.bincount(i, w, minlength=n) + np.bincount(j, w, minlength=n), np.arange(n)
-        at = np.concatenate([i, j, diagonal]), np.concatenate([j, i, diagonal])
-        laplacian = csr_array((np.concatenate([-w, -w, total]), at), shape=(n, n))
-        result = np.zeros(self.size)
-        result[fixed] = values
-        known = result[self.vertices]
-        is_fixed = np.zeros(self.size, bool)
-        is_fixed[fixed] = True
-        is_fixed = is_fixed[self.vertices]
-        _, piece = connected_components(laplacian, directed=False)
-        bounded = np.zeros(piece.max(initial=0) + 1, bool)
-        bounded[piece[is_fixed]] = True
-        free = np.flatnonzero(bounded[piece] & ~is_fixed)
-        if len(free):
-            rows = laplacian[free]
-            # Symmetric and positive definite: no pivots off the diagonal.
-            factors = splu(
-                rows[:, free].tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-            )
-            result[self.vertices[free]] = factors.solve(-(rows @ known))
-        return result
+            weights.append(np.maximum((au * bu + av * bv) / twice_area, LEAST_WEIGHT))
+        starts, ends = (
+            np.bincount(corner[[k, k - 2, k - 1]].ravel(), np.concatenate(weights), minlength=n) for k in (1, 2)
+        )
+        low, high = row[self.edges[0].T]
+        of_sides = np.concatenate([weights[2], weights[0], weights[1]])[self._sides[3]]  # opposite the corner before
+        return low, high, np.add.reduceat(of_sides, np.flatnonzero(self._key_changes)), starts + ends
 
     @cached_property
-    def _sides(self) -> tuple[Int[np.ndarray, " s"], Int[np.ndarray, " s"], Float[np.ndarray, " s"]]:
-        """Lower and higher end, and flat length, of the faces' sides, sorted by ends."""
+    def _sides(
+        self,
+    ) -> tuple[Int[np.ndarray, " s"], Int[np.ndarray, " s"], Float[np.ndarray, " s"], Int[np.ndarray, " s"]]:
+        """Lower and higher end, flat length and number of the faces' sides, sorted by ends.
+
+        Side ``k f + i`` of ``f`` faces runs from corner ``k`` of face ``i`` to the next one.
+        """
         a, b = self.faces.T.ravel(), self.faces.T[[1, 2, 0]].ravel()
         u, v = self.uv[:, :, 0].T, self.uv[:, :, 1].T
         length = np.hypot(u[[1, 2, 0]] - u, v[[1, 2, 0]] - v).ravel()
         low, high = np.minimum(a, b), np.maximum(a, b)
-        order = np.argsort(low * np.int64(self.size) + high)
-        return low[order], high[order], length[order]
+        order = stable_order(low * np.int64(self.size) + high)
+        return low[order], high[order], length[order], order
 
     @cached_property
     def _key_changes(self) -> np.ndarray:
         """Marks the first side of each edge."""
-        low, high, _ = self._sides
+        low, high, _, _ = self._sides
         return np.diff(low * np.int64(self.size) + high, prepend=-1) != 0
+
+
+def _graph(
+    values: Float[np.ndarray, " e"], low: Int[np.ndarray, " e"], high: Int[np.ndarray, " e"], size: int
+) -> csr_array:
+    """A graph of ``size`` vertices, from edges sorted by their ends."""
+    starts = np.concatenate([[0], np.cumsum(np.bincount(low, minlength=size))])
+    return csr_array((values, np.ascontiguousarray(high, np.int32), starts.astype(np.int32)), shape=(size, size))

@@ -21,6 +21,7 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb, roll_round_limb
+from gcd_dataset.generator.mesh.rows import distinct
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, PanelRole
 from gcd_dataset.spec import is_trouser_leg
 
@@ -56,7 +57,7 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     if skirt is not None and on_cone:
         skirt.place_on_cone(limbs[BodyPart.TRUNK], placed)
     elif skirts.any():
-        _end_above_feet(np.unique(mesh.faces[skirts[mesh.panel_id]]), body, placed)
+        _end_above_feet(distinct(mesh.faces[skirts[mesh.panel_id]], len(placed)), body, placed)
     arms = [(limbs[p], side) for p, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)) if p in limbs]
     for arm, side in arms if bodice else ():
         _fit_between_arms(mesh, roles, arm, side, placed)
@@ -64,34 +65,32 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
         sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces, 0].sum(axis=1) > 0.0)
         if not roll_round_limb(mesh, sleeve, arm, placed):
             put_on_limb(mesh, sleeve, arm, placed)
-    for part, side in ((BodyPart.LEFT_LEG, 1.0), (BodyPart.RIGHT_LEG, -1.0)) if trousers.any() else ():
-        if (leg := leg_of(body, part)) is not None:
-            _put_on_leg(mesh, trousers, leg, side, placed)
+    if trousers.any():
+        _put_on_legs(mesh, trousers, body, placed)
     return placed
 
 
-def _put_on_leg(
-    mesh: BoxMesh,
-    trousers: Bool[np.ndarray, " p"],
-    leg: Limb,
-    side: float,
-    placed: Float[np.ndarray, "v 3"],
-) -> None:
-    """Put a trouser leg, below the crotch, on the leg, in ``placed``; ``side``: 1 for the left side, -1 for the right.
+def _put_on_legs(mesh: BoxMesh, trousers: Bool[np.ndarray, " p"], body: Body, placed: Float[np.ndarray, "v 3"]) -> None:
+    """Put trouser legs, below the crotch, on the legs, in ``placed``.
 
     The crotch is the lowest point at which both trouser legs meet.
     """
-    centres = mesh.vertices[mesh.faces].mean(axis=1)
+    x, y = (mesh.vertices[:, axis][mesh.faces].mean(axis=1) for axis in (0, 1))
     faces = np.bincount(mesh.panel_id, minlength=len(trousers))
-    panel_x = np.bincount(mesh.panel_id, centres[:, 0], minlength=len(trousers)) / np.maximum(faces, 1)
-    left, right = ((trousers & (way * panel_x > 0.0))[mesh.panel_id] for way in (1.0, -1.0))
-    joined = np.intersect1d(mesh.faces[left], mesh.faces[right])
-    if len(joined):
-        crotch = float(mesh.vertices[joined, 1].min()) - UNDER_CROTCH
-        below = (left if side > 0.0 else right) & (centres[:, 1] < crotch)
-        put_on_limb(mesh, below, leg, placed, gap=LEG_GAP, loose=LOOSE_HEM)
-        if below.any() and abs(leg.axis[1]) > UPRIGHT:
-            _keep_off_the_other_leg(np.unique(mesh.faces[below]), leg, side, placed)
+    panel_x = np.bincount(mesh.panel_id, x, minlength=len(trousers)) / np.maximum(faces, 1)
+    sides = [(trousers & (side * panel_x > 0.0))[mesh.panel_id] for side in (1.0, -1.0)]
+    left, right = np.zeros((2, len(mesh.vertices)), bool)
+    left[mesh.faces[sides[0]]] = right[mesh.faces[sides[1]]] = True
+    joined = left & right
+    if not joined.any():
+        return
+    crotch = float(mesh.vertices[joined, 1].min()) - UNDER_CROTCH
+    for part, side, faces_of_side in zip(LEGS[:2], (1.0, -1.0), sides, strict=True):
+        below = faces_of_side & (y < crotch)
+        if (leg := leg_of(body, part)) is not None:
+            put_on_limb(mesh, below, leg, placed, gap=LEG_GAP, loose=LOOSE_HEM)
+            if below.any() and abs(leg.axis[1]) > UPRIGHT:
+                _keep_off_the_other_leg(distinct(mesh.faces[below], len(placed)), leg, side, placed)
 
 
 def _keep_off_the_other_leg(
@@ -131,12 +130,13 @@ def _end_above_feet(rows: Int[np.ndarray, " n"], body: Body, placed: Float[np.nd
     aside = x - 0.5 * float(at_top.min() + at_top.max())
     height = top - (top - height) * (top - ankle) / (top - hem)
     slices, leg_slices = (np.floor(y / SLICE).astype(int) for y in (height, both[:, 1]))
-    for number in np.unique(slices):
-        here, beside = slices == number, np.abs(leg_slices - number) <= 1
-        need = float(np.abs(both[beside, 0] - middle).max(initial=-SKIRT_GAP)) + SKIRT_GAP
-        for side in (1.0, -1.0):
-            own = here & (side * aside > 0.0)
-            aside[own] *= max(1.0, need / float(np.abs(aside[own]).max(initial=SLICE)))
+    slices, count, beside, leg_slices = _from_lowest(slices, leg_slices)
+    need = _most_beside(leg_slices, np.abs(both[beside, 0] - middle), count, least=-SKIRT_GAP) + SKIRT_GAP
+    for side in (1.0, -1.0):
+        own = side * aside > 0.0
+        reach = np.full(count, SLICE)
+        np.maximum.at(reach, slices[own], np.abs(aside[own]))
+        aside[own] *= np.maximum(1.0, need / reach)[slices[own]]
     placed[rows, 0], placed[rows, 1] = middle + aside, height
 
 
@@ -144,9 +144,30 @@ def _ankle_height(legs: Float[np.ndarray, "n 3"], body: Body) -> float:
     """Height of the ankles, where legs with feet are least deep [cm]; some segmentations count feet as legs."""
     floor, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
     slices = np.floor((legs[:, 1] - floor) / SLICE).astype(int)
-    low = [number for number in np.unique(slices) if (number + 1) * SLICE < ANKLES_BELOW * (top - floor)]
-    depths = [np.ptp(legs[slices == number, 2]) for number in low]
-    return floor + (low[int(np.argmin(depths))] + 1) * SLICE if low else floor
+    lowest = (slices + 1) * SLICE < ANKLES_BELOW * (top - floor)
+    depth, slices = legs[lowest, 2], slices[lowest]
+    low = np.unique(slices)
+    depths = [np.ptp(depth[slices == number]) for number in low]
+    return floor + (low[int(np.argmin(depths))] + 1) * SLICE if len(low) else floor
+
+
+def _from_lowest(
+    slices: Int[np.ndarray, " n"], others: Int[np.ndarray, " m"]
+) -> tuple[Int[np.ndarray, " n"], int, Bool[np.ndarray, " m"], Int[np.ndarray, " k"]]:
+    """Slices counted from the lowest, their number, and the others at or beside one of them, counted likewise."""
+    lowest = int(slices.min())
+    count = int(slices.max()) - lowest + 1
+    beside = (others >= lowest - 1) & (others <= lowest + count)
+    return slices - lowest, count, beside, others[beside] - lowest
+
+
+def _most_beside(
+    slices: Int[np.ndarray, " k"], values: Float[np.ndarray, " k"], count: int, *, least: float
+) -> Float[np.ndarray, " c"]:
+    """The largest value in each slice and the slices next to it; ``slices``: from -1 to ``count``."""
+    most = np.full(count + 2, least)
+    np.maximum.at(most, slices + 1, values)
+    return np.maximum(np.maximum(most[:-2], most[1:-1]), most[2:])
 
 
 def _fit_between_arms(
@@ -170,14 +191,17 @@ def _fit_between_arms(
     slices, arm_slices = (np.floor(y / SLICE).astype(int) for y in (height, arm.skin[:, 1]))
     armhole = mesh.vertices[mesh.labels.get(EdgeRole.LEFT_ARMHOLE if side > 0.0 else EdgeRole.RIGHT_ARMHOLE, []), 1]
     armpit = min(float(arm.skin[:, 1].max()) - ARMPIT, float(armhole.min(initial=np.inf)))
-    scale = 1.0
-    for number in np.unique(slices[height < armpit]):
-        beside = np.abs(arm_slices - number) <= 1
-        here = (slices == number) & (height < armpit)
-        if beside.any():
-            room = float((side * arm.skin[beside, 0]).min()) - ARM_GAP
-            scale = min(1.0, room / reach[here].max()) if room > 0.0 else 1.0
-            placed[bodice[here], 0] *= scale
+    scale, under = 1.0, height < armpit
+    if under.any():
+        slices, count, beside, arm_slices = _from_lowest(slices[under], arm_slices)
+        room = -_most_beside(arm_slices, -side * arm.skin[beside, 0], count, least=-np.inf) - ARM_GAP
+        widest = np.zeros(count)
+        np.maximum.at(widest, slices, reach[under])
+        scales = np.ones(count)
+        tight = np.flatnonzero((room > 0.0) & (room < widest))
+        scales[tight] = room[tight] / widest[tight]
+        placed[bodice[under], 0] *= scales[slices]
+        scale = scales[(widest > 0.0) & (room < np.inf)][-1:].min(initial=1.0)
     if scale < 1.0 and len(armhole) and not len(sleeve):
         above = height >= armpit
         share = np.clip((height[above] - armpit) / max(float(armhole.max()) - armpit, SLICE), 0.0, 1.0)

@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.generator.body.limbs import Limb
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
+from gcd_dataset.generator.mesh.rows import distinct
 from gcd_dataset.records import BoxMesh, EdgeRole
 
 RISE = 5.0  # cm: a skirt that reaches further above its top starts on a cone
@@ -70,8 +71,8 @@ class Skirt:
         if points[:, 1].max() > self._level + RISE or np.abs(points[:, 0]).max() > HALF_WIDTH:
             return True
         height, down = self.mesh.vertices[:, 1], self._down
-        for panel in np.unique(self._panel):
-            own = np.unique(self.cloth.faces[self._panel == panel])
+        for panel in self._panels:
+            own = distinct(self.cloth.faces[self._panel == panel], self.cloth.size)
             first = own[down[own] <= down[own].min() + TOP_BAND]
             if (height[own] + SLOPE * (down[own] - down[own].min())).max() > height[first].max() + RISE:
                 return True
@@ -111,6 +112,10 @@ class Skirt:
         """Distance of each vertex from the top along the cloth [cm]."""
         return self.cloth.distance_from(self.top)
 
+    @property
+    def _panels(self) -> Int[np.ndarray, " p"]:
+        return distinct(self._panel, len(self.mesh.panel_names))
+
     @cached_property
     def _level(self) -> float:
         """Height of the top [cm]."""
@@ -133,8 +138,9 @@ class Skirt:
         seam_of = np.full(self.cloth.size, -1)
         seam_of[self.side] = seam
         middle = np.zeros(len(x))
-        for panel in np.unique(self._panel):
-            seams = np.setdiff1d(seam_of[self.cloth.faces[self._panel == panel]], -1)
+        for panel in self._panels:
+            seams = seam_of[self.cloth.faces[self._panel == panel]]
+            seams = distinct(seams[seams >= 0], len(x))
             if len(seams) > 1:
                 middle[seams] = x[seams].mean()
         return np.sign(x - middle)[seam]

@@ -5,6 +5,7 @@ edges sewn to each other, would begin folded flat, with the limb on one side of 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.body.limbs import Limb
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
+from gcd_dataset.generator.mesh.rows import distinct
 from gcd_dataset.records import BoxMesh
 
 SECTION = 2.0  # median edges: length of a cross section along the tube; shorter ones would miss a side of it
@@ -72,8 +74,9 @@ class _Tube:
     def of(mesh: BoxMesh, own: Bool[np.ndarray, " f"]) -> "_Tube | None":
         """The tube of the marked faces; ``None`` without a root, cloth near the root, an open end or a direction."""
         cloth = FlatCloth.of(mesh, own)
-        root = np.intersect1d(cloth.vertices, mesh.faces[~own])
-        end = np.setdiff1d(cloth.border, root)
+        sewn = np.zeros(len(mesh.vertices), bool)
+        sewn[mesh.faces[~own]] = True
+        root, end = cloth.vertices[sewn[cloth.vertices]], cloth.border[~sewn[cloth.border]]
         if not (len(root) and len(end)):
             return None
         rows = cloth.vertices
@@ -93,7 +96,7 @@ class _Tube:
         """Whether every cross section beyond ``ROOT`` surrounds the limb's skin at the same height, ``GAP`` apart."""
         across, along, depth = (self.points @ self.frame.T).T
         skin_across, skin_along, skin_depth = (skin @ self.frame.T).T
-        for here in self._sections():
+        for here in self._sections:
             low, high = along[here].min() - self.section, along[here].max() + self.section
             beside = (skin_along > low) & (skin_along < high)
             if self.distance[here].mean() > ROOT and beside.any():
@@ -109,7 +112,7 @@ class _Tube:
     def is_loose_beyond(self, limb: Limb, loose: float) -> bool:
         """Whether every cross section beyond the end of the limb has at least the girth ``loose`` [cm]."""
         across, along = (self.points @ self.frame.T)[:, 0], (self.points - limb.origin) @ limb.axis
-        beyond = [here for here in self._sections() if along[here].mean() > _end_of(limb)]
+        beyond = [here for here in self._sections if along[here].mean() > _end_of(limb)]
         return all(2.0 * np.ptp(across[here]) >= loose for here in beyond)
 
     def moved_to(self, limb: Limb) -> Float[np.ndarray, "n 3"]:
@@ -123,7 +126,7 @@ class _Tube:
         shrink = np.clip((_end_of(limb) - root) / longest, LEAST_LENGTH, 1.0) if longest > ROOT else 1.0
         middle, factor = np.empty(len(self.rows)), np.empty(len(self.rows))
         found: dict[int, list[tuple[float, float, float]]] = {}
-        for here in self._sections():
+        for here in self._sections:
             distance = float(self.distance[here].mean())
             beside = np.abs(skin_along - root - shrink * distance) < self.section
             low, high = float(across[here].min()), float(across[here].max())
@@ -139,6 +142,7 @@ class _Tube:
         share = np.minimum(self.distance / ROOT, 1.0)[:, None]
         return self.points + share * (limb.origin + local @ frame - self.points)
 
+    @cached_property
     def _sections(self) -> list[Int[np.ndarray, " k"]]:
         """The vertices of each cross section of each piece, from the root to the end; without incomplete sections."""
         return [section for number in np.unique(self.piece) for section in self._sections_of(number)]
@@ -146,7 +150,7 @@ class _Tube:
     def _sections_of(self, piece: int) -> list[Int[np.ndarray, " k"]]:
         own = np.flatnonzero(self.piece == piece)
         numbers = np.floor(self.distance[own] / self.section).astype(int)
-        sections = [own[numbers == number] for number in np.unique(numbers)]
+        sections = [own[numbers == number] for number in distinct(numbers, numbers.max() + 1)]
         return [section for section in sections if len(section) >= LEAST_RING] or [own]
 
 
@@ -157,8 +161,9 @@ def _pieces(
     distance: Float[np.ndarray, " n"],
 ) -> Int[np.ndarray, " n"]:
     """See ``_Tube.piece``: panels at the same distances from the root form a piece."""
-    at = np.searchsorted(rows, faces)
-    panels = [np.unique(at[panel_id == panel]) for panel in np.unique(panel_id)]
+    at = np.empty(rows[-1] + 1, int)
+    at[rows] = np.arange(len(rows))
+    panels = [distinct(at[faces[panel_id == panel]], len(rows)) for panel in distinct(panel_id, panel_id.max() + 1)]
     panels.sort(key=lambda own: float(distance[own].mean()))
     piece = np.full(len(rows), len(panels))
     number, reach = -1, -np.inf
@@ -215,10 +220,9 @@ class _Panel:
     @staticmethod
     def of(mesh: BoxMesh, tube: Bool[np.ndarray, " f"]) -> "_Panel | None":
         """The panel of the marked faces; ``None`` for several panels, or one that is not sewn to itself."""
-        numbers = np.unique(mesh.panel_id[tube])
-        if len(numbers) != 1:
+        if len(distinct(mesh.panel_id[tube], len(mesh.panel_names))) != 1:
             return None
-        rows = np.unique(mesh.corners[tube])
+        rows = distinct(mesh.corners[tube], len(mesh.uv))
         vertex, uv = mesh.uv_vertex[rows], mesh.uv[rows]
         root = np.isin(vertex, mesh.faces[~tube])
         _, inverse, count = np.unique(vertex, return_inverse=True, return_counts=True)

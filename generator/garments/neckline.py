@@ -189,7 +189,7 @@ def half_neckline(
     if depth <= 0.0:
         raise PatternError(f"a neckline of {2 * half_width:.2f} cm is wider than the shirt: narrow collar.width")
     strokes = neckline_shape(design, front=front, half_width=half_width, depth=depth)
-    return tuple(replace(stroke, name="neck", label=EdgeRole.RIGHT_COLLAR) for stroke in strokes)
+    return tuple(stroke.called("neck", EdgeRole.RIGHT_COLLAR) for stroke in strokes)
 
 
 def neckline_shape(design: NecklineDesign, *, front: bool, half_width: float, depth: float) -> tuple[Stroke, ...]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import cos, inf, pi
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import shapely
@@ -21,7 +21,7 @@ from gcd_dataset.generator.garments.neckline import NecklineDesign, neckline_wid
 from gcd_dataset.generator.garments.shirt import UpperHalf, armhole_from_centre, right_half, right_torso
 from gcd_dataset.generator.garments.sleeve import sleeve_of
 from gcd_dataset.generator.garments.upper import Shirt
-from gcd_dataset.generator.pattern import Component, MeasuredJoin, measure_joins, panel_of
+from gcd_dataset.generator.pattern import Component, MeasuredJoin, Outline, Piece, measure_joins, panel_of
 from gcd_dataset.records import Measurements, Panel
 
 CLOTH_OFF_SKIN = 0.35  # cm between skin and cloth in a drape, ``DrapeConfig.body_gap``
@@ -47,11 +47,15 @@ class SewingFault(NamedTuple):
     """The panel at fault; empty if it is not one panel."""
 
 
-def half_fault(size: Measurements, design: GarmentDesign, half: UpperHalf) -> SewingFault | None:
+SoundOutlines: TypeAlias = set[tuple[Outline, bool]]
+"""Outlines found without fault, with ``Piece.faces_out``: pieces that a redraw leaves as they are need no new check."""
+
+
+def half_fault(size: Measurements, design: GarmentDesign, half: UpperHalf, sound: SoundOutlines) -> SewingFault | None:
     """Why one half cannot be sewn: a misfit of armhole, neckline or flared cuff, for example; ``None`` if it can."""
     drawings = [right_torso, right_half] if half[-1].has_flared_cuff else [right_torso]
     fitted = _is_fitted(design)
-    faults = (_sewing_fault(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS)) for draw in drawings)
+    faults = (_sewing_fault(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS), sound) for draw in drawings)
     return next((fault for fault in faults if fault is not None), None)
 
 
@@ -118,14 +122,14 @@ def shortest_shoulder(size: Measurements) -> float:
     return min(SHORTEST_SHOULDER, SHOULDER_SHARE * beside_neck)
 
 
-def bottom_fault(size: Measurements, design: GarmentDesign) -> SewingFault | None:
+def bottom_fault(size: Measurements, design: GarmentDesign, sound: SoundOutlines) -> SewingFault | None:
     """Why the bottom, with its slits, darts and godets, cannot be drawn or sewn."""
-    return _sewing_fault(partial(bottom, size, design, ALL_MENDS))
+    return _sewing_fault(partial(bottom, size, design, ALL_MENDS), sound)
 
 
-def upper_fault(size: Measurements, design: GarmentDesign) -> SewingFault | None:
+def upper_fault(size: Measurements, design: GarmentDesign, sound: SoundOutlines) -> SewingFault | None:
     """Why an upper other than a shirt cannot be drawn or sewn."""
-    return _sewing_fault(partial(upper, size, design, ALL_MENDS))
+    return _sewing_fault(partial(upper, size, design, ALL_MENDS), sound)
 
 
 def _is_fitted(design: GarmentDesign) -> bool:
@@ -133,16 +137,22 @@ def _is_fitted(design: GarmentDesign) -> bool:
     return isinstance(garment, Shirt) and garment.fitted
 
 
-def _sewing_fault(draw: Callable[[], Component]) -> SewingFault | None:
+def _sewing_fault(draw: Callable[[], Component], sound: SoundOutlines) -> SewingFault | None:
     """The first fault of a part of a garment: in drawing, in the match of its seams, or in a panel."""
     try:
         drawn = draw()
-        panels = [panel_of(piece) for piece in drawn.pieces]
+        outlines: dict[tuple[Outline, bool], Piece] = {}
+        for piece in drawn.pieces:
+            outlines.setdefault((piece.outline, piece.faces_out), piece)
+        panels = [panel_of(piece) for key, piece in outlines.items() if key not in sound]
         if any(map(is_mismatched, measure_joins(drawn))):
             return SewingFault("mismatched_seam", "")
-        return panel_fault(panels)
+        fault = panel_fault(panels) if panels else None
     except PatternError:
         return SewingFault("cannot_be_drawn", "")
+    if fault is None:
+        sound.update(outlines)
+    return fault
 
 
 def panel_fault(panels: Sequence[Panel]) -> SewingFault | None:

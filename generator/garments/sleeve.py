@@ -42,7 +42,7 @@ def armhole(kind: Armhole, width: float, depth: float, *, corner: float) -> tupl
             drawn = start.line((1 - corner) * width, corner * depth).line(width, depth)
         case Armhole.CURVE:
             drawn = start.curve(width, depth, CURVE)
-    return tuple(replace(stroke, name="armhole", label=EdgeRole.RIGHT_ARMHOLE) for stroke in drawn.strokes)
+    return tuple(stroke.called("armhole", EdgeRole.RIGHT_ARMHOLE) for stroke in drawn.strokes)
 
 
 SHORTEST = 5.0  # cm of sleeve under the arm, GarmentCode

@@ -39,6 +39,7 @@ from gcd_dataset.generator.garments.rules import (
 )
 from gcd_dataset.generator.garments.sewable import (
     SewingFault,
+    SoundOutlines,
     bottom_fault,
     half_fault,
     sleeve_tightness,
@@ -214,6 +215,7 @@ class _Fitting:
 
     redrawing: Redrawing
     sizes: tuple[Measurements, ...]
+    sound: SoundOutlines = field(default_factory=set)
 
     def with_band(self, design: GarmentDesign) -> GarmentDesign:
         """The design; a waistband without an upper is at most as wide as the trunk."""
@@ -235,7 +237,9 @@ class _Fitting:
             return self.redrawing.repaired(design, self._shirt_fault, _shirt_remedies, limited=limited)
         section = Remedy((garment.section,))
         return self.redrawing.repaired(
-            design, lambda trial: _first(upper_fault(size, trial) for size in self.sizes), lambda fault: (section,)
+            design,
+            lambda trial: _first(upper_fault(size, trial, self.sound) for size in self.sizes),
+            lambda fault: (section,),
         )
 
     def _with_wide_ends(self, design: GarmentDesign) -> GarmentDesign:
@@ -262,7 +266,7 @@ class _Fitting:
     def _shirt_fault(self, design: GarmentDesign) -> SewingFault | None:
         """The first fault of a half; for the left half ``part`` begins with ``LEFT``."""
         for prefix, half in zip(("", LEFT), design.halves(), strict=False):
-            fault = _first(half_fault(size, design, half) for size in self.sizes)
+            fault = _first(half_fault(size, design, half, self.sound) for size in self.sizes)
             if fault is not None:
                 return SewingFault(fault.rule, prefix + fault.part)
         return None
@@ -374,7 +378,7 @@ class _Fitting:
         assert design.meta.bottom is not None
         garment = design.meta.bottom.garment
         is_plain = garment.always_sewable(garment.section_design(design))
-        return None if is_plain else _first(bottom_fault(size, design) for size in self.sizes)
+        return None if is_plain else _first(bottom_fault(size, design, self.sound) for size in self.sizes)
 
     def _with_snug_band(self, design: GarmentDesign) -> GarmentDesign:
         """The design; a gathered bottom without upper gets a snug band, or no gathers if the overlay allows no band."""

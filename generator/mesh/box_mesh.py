@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.curves import sample_curve, signed_area
 from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.mesh.rows import distinct, stable_order
 from gcd_dataset.generator.mesh.stitch import (
     MOST_POINTS,
     Border,
@@ -198,7 +199,7 @@ def _in_order(corners: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
     a, b, c = np.ascontiguousarray(corners.T)
     first = np.minimum(np.minimum(a, b), c)
     second = np.where(a == first, b, np.where(b == first, c, a))
-    order = np.argsort(first * np.int64(second.max(initial=0) + 1) + second)
+    order = stable_order(first * np.int64(second.max(initial=0) + 1) + second)
     return np.stack([first[order], second[order], (a + b + c - first - second)[order]], axis=1)
 
 
@@ -278,4 +279,5 @@ def _labels(
         found.setdefault(left or right, []).append(vertex[edges[seam.left]])
     for ref, label in label_of.items():
         found.setdefault(label, []).append(vertex[edges[ref][1:-1]])
-    return {label: np.unique(np.concatenate(found[label])) for label in sorted(found) if label}
+    size = int(vertex.max(initial=-1)) + 1
+    return {label: distinct(np.concatenate(found[label]), size) for label in sorted(found) if label}

@@ -12,6 +12,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.mesh.rows import stable_order
 from gcd_dataset.generator.mesh.stitch import MOST_POINTS, proper_faces
 from gcd_dataset.generator.mesh.triangulate import Quality, lattice_size, triangulator
 from gcd_dataset.records import BoxMesh
@@ -34,7 +35,8 @@ class PanelLoops:
     def of(mesh: BoxMesh) -> "PanelLoops":
         """The borders of a mesh. Raises ``MeshError`` for a panel with a hole or one that touches itself at a point."""
         sides = _border_sides(mesh)
-        start, end, panel = mesh.corners.ravel()[sides], _ends(mesh)[sides], mesh.panel_id[sides // 3]
+        start, end = mesh.corners.ravel()[sides], mesh.corners[sides // 3, (sides + 1) % 3]
+        panel = mesh.panel_id[sides // 3]
         place = np.full(len(mesh.uv), -1)
         place[start] = np.arange(len(start))
         if (place[start] != np.arange(len(start))).any() or (place[end] < 0).any():
@@ -49,18 +51,15 @@ def _border_sides(mesh: BoxMesh) -> Int[np.ndarray, " b"]:
     The faces round an inner row have the same rows before it as after it. The faces round a row on one border differ in
     the first row and the last one; the sums could be equal only where two borders touch, which leaves a gap in both.
     """
-    start, end = mesh.corners.ravel(), _ends(mesh)
-    on_border = np.bincount(start, end - mesh.corners[:, [2, 0, 1]].ravel(), minlength=len(mesh.uv)) != 0.0
-    near = np.flatnonzero(on_border[start] & on_border[end])
-    start, end = start[near], end[near]
+    start, (a, b, c) = mesh.corners.ravel(), mesh.corners.T
+    after_less_before = np.stack([b - c, c - a, a - b], axis=1).ravel()
+    on_border = (np.bincount(start, after_less_before, minlength=len(mesh.uv)) != 0.0)[mesh.corners]
+    near = np.flatnonzero(on_border & on_border[:, [1, 2, 0]])
+    start, end = start[near], mesh.corners[near // 3, (near + 1) % 3]
     key = np.minimum(start, end) * np.int64(len(mesh.uv)) + np.maximum(start, end)
-    order = np.argsort(key)
+    order = stable_order(key)
     changed = np.diff(key[order], prepend=-1, append=-1) != 0
     return np.sort(near[order[changed[:-1] & changed[1:]]])
-
-
-def _ends(mesh: BoxMesh) -> Int[np.ndarray, " s"]:
-    return mesh.corners[:, [1, 2, 0]].ravel()
 
 
 def _walk(mesh: BoxMesh, panel: Int[np.ndarray, " b"], after: Int[np.ndarray, " b"]) -> Iterator[int]:
@@ -237,6 +236,8 @@ class _Filled:
     """The coarse panels: the kept points of all borders, then seeds panel by panel; ``q`` counts both."""
 
     panels: Int[np.ndarray, " p"]  # rows of ``panel_names``: the panels that have faces
+    fine_panel: Int[np.ndarray, " c"]
+    """The row of ``panels`` of each row of the fine mesh's ``uv``; -1 for rows without a face."""
     rows: Int[np.ndarray, " b"]  # the rows of the borders' points in the fine mesh
     flat: Float[np.ndarray, "q 2"]
     """Positions in the planes of the panels [cm]."""
@@ -255,41 +256,58 @@ def _fill(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned) -> _Filled:
     kept = thinned.kept[mesh.uv_vertex[borders.rows]]
     rows = borders.rows[kept]
     panels, number = np.unique(borders.panel, return_inverse=True)
-    loops = np.split(rows, np.searchsorted(number[kept], np.arange(1, len(panels))))
     fine_panel = _panel_of_rows(mesh, panels)
-    fine_panel[borders.rows] = -1
-    inner = np.split(
-        np.argsort(fine_panel, kind="stable"), np.searchsorted(np.sort(fine_panel), np.arange(len(panels)))
-    )
+    of_inner = fine_panel.copy()
+    of_inner[borders.rows] = -1
+    inner = np.split(stable_order(of_inner + 1), np.cumsum(np.bincount(of_inner + 1, minlength=len(panels) + 1))[:-1])
     flat, panel, faces, holding = [mesh.uv[rows]], [number[kept]], [], []
     size, own, n_faces = len(rows), 0, 0
-    _require_outlines(mesh, panels, loops)
-    for k, loop in enumerate(loops):
-        border = mesh.uv[loop]
-        # Laid with a spacing of 1 about its middle, mirrored if its border is clockwise.
-        ahead = np.roll(border, -1, axis=0)
-        mirror = 1.0 if (border[:, 0] * ahead[:, 1] - border[:, 1] * ahead[:, 0]).sum() > 0.0 else -1.0
-        length = np.linalg.norm(ahead - border, axis=1)
-        scale = np.array([mirror, 1.0]) / np.sort(length)[round(TYPICAL * (len(length) - 1))]
-        middle = 0.5 * (border.min(axis=0) + border.max(axis=0))
+    sizes = np.bincount(panel[0], minlength=len(panels))
+    _require_outlines([mesh.panel_names[k] for k in panels], flat[0], panel[0], sizes)
+    # Laid with a spacing of 1 about its middle, mirrored if its border is clockwise.
+    for k, (border, scale, middle) in enumerate(_scaled(flat[0], sizes)):
         laid = (border - middle) * scale
         if lattice_size(laid, 1.0) > MOST_POINTS:
             raise MeshError(f"panel {mesh.panel_names[panels[k]]} takes over {MOST_POINTS:,} points")
         seeds, triangles = triangulator().fill(laid, 1.0, COARSE)
         flat.append(seeds / scale + middle)
         panel.append(np.full(len(seeds), k))
-        faces.append(np.where(triangles < len(loop), triangles + own, triangles - len(loop) + size))
+        faces.append(np.where(triangles < sizes[k], triangles + own, triangles - sizes[k] + size))
         holding.append(n_faces + triangulator().holding((mesh.uv[inner[k + 1]] - middle) * scale))
-        size, own, n_faces = size + len(seeds), own + len(loop), n_faces + len(triangles)
+        size, own, n_faces = size + len(seeds), own + sizes[k], n_faces + len(triangles)
     joined = (np.concatenate(parts) for parts in (flat, panel, faces, inner[1:], holding))
-    return _Filled(panels, rows, *joined)
+    return _Filled(panels, fine_panel, rows, *joined)
 
 
-def _require_outlines(mesh: BoxMesh, panels: Int[np.ndarray, " p"], loops: Sequence[Int[np.ndarray, " n"]]) -> None:
-    """Raise ``MeshError`` for a border of fewer than three points, or one that touches itself."""
-    for panel, loop in zip(panels, loops, strict=True):
-        if len(loop) < 3 or not shapely.Polygon(mesh.uv[loop]).is_valid:
-            raise MeshError(f"panel {mesh.panel_names[panel]} is too narrow to lose half of its border points")
+def _require_outlines(
+    names: Sequence[str], flat: Float[np.ndarray, "b 2"], number: Int[np.ndarray, " b"], sizes: Int[np.ndarray, " p"]
+) -> None:
+    """Raise ``MeshError`` for a border of fewer than three points, or one that touches itself.
+
+    ``number``: the border of each point, ascending.
+    """
+    narrow = sizes < 3
+    if not narrow.any():
+        narrow = ~shapely.is_valid(shapely.polygons(shapely.linearrings(flat, indices=number)))
+    if narrow.any():
+        raise MeshError(f"panel {names[int(narrow.argmax())]} is too narrow to lose half of its border points")
+
+
+def _scaled(
+    flat: Float[np.ndarray, "b 2"], sizes: Int[np.ndarray, " p"]
+) -> Iterator[tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "2"], Float[np.ndarray, "2"]]]:
+    """The points of each loop, the scale that gives it a spacing of 1 and runs it counter-clockwise, and its middle."""
+    first, last = np.cumsum(sizes) - sizes, np.cumsum(sizes) - 1
+    after = np.arange(1, len(flat) + 1)
+    after[last] = first
+    ahead = flat[after]
+    length = np.linalg.norm(ahead - flat, axis=1)
+    area = np.add.reduceat(flat[:, 0] * ahead[:, 1] - flat[:, 1] * ahead[:, 0], first)
+    middle = 0.5 * (np.minimum.reduceat(flat, first) + np.maximum.reduceat(flat, first))
+    mirror = np.stack([np.where(area > 0.0, 1.0, -1.0), np.ones(len(sizes))], axis=1)
+    for k, size in enumerate(sizes.tolist()):
+        loop = slice(first[k], first[k] + size)
+        yield flat[loop], mirror[k] / np.sort(length[loop])[round(TYPICAL * (size - 1))], middle[k]
 
 
 # ---------------------------------------------------------------------------------------------------------------- join
@@ -300,11 +318,13 @@ def _join(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned, filled: _Filled)
     number = np.cumsum(thinned.kept) - 1
     n, count = len(filled.rows), int(thinned.kept.sum())
     vertex = np.concatenate([number[mesh.uv_vertex[filled.rows]], np.arange(count, count + len(filled.flat) - n)])
-    fine_panel, seeds = _panel_of_rows(mesh, filled.panels), filled.flat[n:]
+    seeds = filled.flat[n:]
     faces = filled.faces[proper_faces(vertex[filled.faces])]
     sewn = mesh.seams[thinned.kept[mesh.seams[:, 0]]]
     coarse = BoxMesh(
-        vertices=np.concatenate([mesh.vertices[thinned.kept], _in_space(mesh, fine_panel, seeds, filled.panel[n:])]),
+        vertices=np.concatenate(
+            [mesh.vertices[thinned.kept], _in_space(mesh, filled.fine_panel, seeds, filled.panel[n:])]
+        ),
         faces=vertex[faces],
         uv=np.concatenate([mesh.uv[filled.rows], seeds]),
         corners=faces,

@@ -17,6 +17,7 @@ CLEAR = wp.constant(f64(0.60))  # pitches: least distance of a lattice point fro
 APART = wp.constant(f64(0.80))  # circumradii: least distance of a seed of the refinement from all points
 FLAT = wp.constant(f64(1.0e-12))  # square spacings: a corner of the outline with a smaller triangle is not clipped
 THIN = wp.constant(f64(1.0e-9))  # spacings: where a triangle is less high, the outline touches itself
+CLEARLY = wp.constant(f64(1.0e-9))  # square spacings: twice the area between a side and a point that is not on it
 EQUAL = wp.constant(f64(1.0e-12))  # relative: a point so near to a circle lies on it
 LONGEST_WALK = wp.constant(64)  # triangles; then all are searched
 
@@ -37,12 +38,6 @@ def turn(a: wp.vec2d, b: wp.vec2d, c: wp.vec2d) -> f64:
 @wp.func
 def corner(points: Points, faces: Rows, face: int, k: int) -> wp.vec2d:
     return points[faces[face, k % 3]]
-
-
-@wp.func
-def in_triangle(a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, p: wp.vec2d) -> bool:
-    """Whether a triangle holds a point, its sides included."""
-    return turn(a, b, p) >= ZERO and turn(b, c, p) >= ZERO and turn(c, a, p) >= ZERO
 
 
 @wp.func
@@ -109,9 +104,13 @@ def clip_ears(
         while is_ear and q != a:
             # Only a point where the outline is not convex can be the first inside an ear.
             if convex[q] == 0:
-                if in_triangle(points[a], points[k], points[b], points[q]):
-                    is_ear = False
-                    in_the_way = q
+                p = points[q]
+                # Most points lie beyond the diagonal. Nested, since all operands of ``and`` are computed.
+                if turn(points[b], points[a], p) >= ZERO:
+                    if turn(points[a], points[k], p) >= ZERO:
+                        if turn(points[k], points[b], p) >= ZERO:
+                            is_ear = False
+                            in_the_way = q
             q = after[q]
         if is_ear:
             set_face(faces, count, a, k, b)
@@ -236,25 +235,51 @@ def mark_lattice(points: Points, cells: Numbers, n: int, rows: int, columns: int
 
 
 @wp.func
-def face_at(points: Points, faces: Rows, beside: Rows, start: int, count: int, p: wp.vec2d) -> int:
-    """The triangle that holds a point: by a walk from ``start``, or by a search where the walk ends at the outline.
-
-    For a point outside all triangles ``OUTSIDE``.
-    """
+def walk_to(points: Points, faces: Rows, beside: Rows, start: int, p: wp.vec2d) -> int:
+    """The triangle that holds a point, by a walk from ``start``; ``OUTSIDE`` if the walk ends at the outline."""
     face = int(start)
     for _step in range(LONGEST_WALK):
         onward = int(-2)
         for side in range(3):
-            if onward < 0 and turn(corner(points, faces, face, side), corner(points, faces, face, side + 1), p) < ZERO:
-                onward = beside[face, side]
+            if onward < 0:
+                if turn(corner(points, faces, face, side), corner(points, faces, face, side + 1), p) < ZERO:
+                    onward = beside[face, side]
         if onward == -2:
             return face
         if onward == OUTSIDE:
-            break
+            return OUTSIDE
         face = onward
+    return OUTSIDE
+
+
+@wp.func
+def clearance(points: Points, faces: Rows, face: int, p: wp.vec2d) -> f64:
+    """Twice the least area between a point and a side of a triangle, negative outside of it."""
+    a = corner(points, faces, face, 0)
+    b = corner(points, faces, face, 1)
+    c = corner(points, faces, face, 2)
+    return wp.min(wp.min(turn(a, b, p), turn(b, c, p)), turn(c, a, p))
+
+
+@wp.func
+def first_of_two(points: Points, faces: Rows, beside: Rows, face: int, least: f64, p: wp.vec2d) -> int:
+    """The triangle that ``search`` finds for a point in a triangle: on a side, the first of the two beside it."""
+    first = int(face)
+    if face >= 0:
+        for side in range(3):
+            if turn(corner(points, faces, face, side), corner(points, faces, face, side + 1), p) <= least:
+                g = beside[face, side]
+                if g >= 0 and g < first:
+                    if clearance(points, faces, g, p) >= ZERO:
+                        first = g
+    return first
+
+
+@wp.func
+def search(points: Points, faces: Rows, count: int, p: wp.vec2d) -> int:
+    """The first triangle that holds a point, its sides included; for a point outside all triangles ``OUTSIDE``."""
     for face in range(count):
-        a = corner(points, faces, face, 0)
-        if in_triangle(a, corner(points, faces, face, 1), corner(points, faces, face, 2), p):
+        if clearance(points, faces, face, p) >= ZERO:
             return face
     return OUTSIDE
 
@@ -428,7 +453,17 @@ def fill(
                     start = last
                     if near > 1:
                         start = touching[near]
-                    face = face_at(points, faces, beside, start, count, points[m])
+                    face = walk_to(points, faces, beside, start, points[m])
+                    for other in range(1, 4):  # round a corner of the outline: from the other lattice points beside it
+                        near_j = j - j % (2 * stride) + 2 * stride * (other % 2)
+                        near_i = i - i % (2 * stride) + 2 * stride * (other // 2)
+                        if face < 0 and near_j < rows and near_i < columns:
+                            near = cells[near_j * columns + near_i]
+                            if near > 1:
+                                face = walk_to(points, faces, beside, touching[near], points[m])
+                                face = first_of_two(points, faces, beside, face, CLEARLY * spacing * spacing, points[m])
+                    if face < 0:
+                        face = search(points, faces, count, points[m])
                     if face >= 0:
                         stamp += 1
                         grown = insert(
@@ -486,7 +521,7 @@ def fill(
         a = corner(points, faces, face, 0)
         b = corner(points, faces, face, 1)
         c = corner(points, faces, face, 2)
-        base = wp.max(wp.max(wp.length(b - a), wp.length(c - b)), wp.length(a - c))
+        base = wp.sqrt(wp.max(wp.max(wp.length_sq(b - a), wp.length_sq(c - b)), wp.length_sq(a - c)))
         if turn(a, b, c) < THIN * spacing * base:
             size[1] = -1 - wp.min(wp.min(faces[face, 0], faces[face, 1]), faces[face, 2])
 
@@ -533,14 +568,16 @@ def find(
             (p[0] - option[0]) / pitch,
             last,
         )
-        face = face_at(points, faces, beside, start, count, p)
+        face = walk_to(points, faces, beside, start, p)
+        if face < 0:
+            face = search(points, faces, count, p)
         if face < 0:
             best = f64(-1.0e30)
             for other in range(count):
                 a = corner(points, faces, other, 0)
                 b = corner(points, faces, other, 1)
                 c = corner(points, faces, other, 2)
-                inside = wp.min(wp.min(turn(a, b, p), turn(b, c, p)), turn(c, a, p)) / turn(a, b, c)
+                inside = clearance(points, faces, other, p) / turn(a, b, c)
                 if inside > best:
                     best = inside
                     face = other

@@ -6,8 +6,9 @@ from math import ceil
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gcd_dataset.curves import curve_length, sample_curve
+from gcd_dataset.curves import Line, curve_length, sample_curve
 from gcd_dataset.errors import MeshError, PatternError
+from gcd_dataset.generator.mesh.rows import distinct, stable_order
 from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
 
 MOST_POINTS = 1_500_000  # points of a pattern: the largest panel accepted, ten metres square, at 1 cm
@@ -60,18 +61,27 @@ def sample_border(panel: Panel, counts: dict[EdgeRef, int]) -> Border:
     """
     if not panel.edges:
         raise MeshError(f"panel {panel.name} has no edges: draw its outline or remove the panel")
-    total = sum(counts[EdgeRef(panel.name, index)] - 1 for index in range(len(panel.edges)))
-    if total > MOST_POINTS:
+    sizes = [counts[EdgeRef(panel.name, index)] - 1 for index in range(len(panel.edges))]
+    if (total := sum(sizes)) > MOST_POINTS:
         raise MeshError(
             f"panel {panel.name} would get {total:.3g} points along its edges, over {MOST_POINTS:,}: "
             "use a coarser spacing"
         )
-    pieces = []
-    for index, edge in enumerate(panel.edges):
-        if edge.end != panel.edges[(index + 1) % len(panel.edges)].start:
+    starts = [edge.start for edge in panel.edges]
+    for index, (edge, following) in enumerate(zip(panel.edges, [*starts[1:], starts[0]], strict=True)):
+        if edge.end != following:
             raise MeshError(f"panel {panel.name}: edge {index} does not end where the next begins; close the loop")
-        pieces.append(sample_curve(*panel.edge_ends(index), edge.curve, counts[EdgeRef(panel.name, index)])[:-1])
-    return Border(np.concatenate(pieces), np.cumsum([0, *map(len, pieces)]))
+    # All edges at once as lines, which most are; then the curves.
+    corners, number = panel.vertices[starts], np.repeat(np.arange(len(sizes)), sizes)
+    first = np.cumsum([0, *sizes])
+    share = ((np.arange(total) - first[number]) * (1.0 / np.array(sizes))[number])[:, None]
+    points = (1.0 - share) * corners[number] + share * panel.vertices[[*starts[1:], starts[0]]][number] + 0.0
+    points[first[:-1]] = corners
+    for index, edge in enumerate(panel.edges):
+        if not isinstance(edge.curve, Line):
+            curve = sample_curve(*panel.edge_ends(index), edge.curve, sizes[index] + 1)
+            points[first[index] : first[index + 1]] = curve[:-1]
+    return Border(points, first)
 
 
 def _count(panel: Panel, index: int, spacing: float) -> int:
@@ -175,16 +185,19 @@ def _require_darts(
     group: Int[np.ndarray, " c"], sewn: SewnPoints, panel: Int[np.ndarray, " c"], seams: tuple[Seam, ...]
 ) -> None:
     """Raise ``MeshError`` for points of one panel that become one vertex, but not by seams within that panel."""
-    members = np.unique(np.concatenate([sewn.left, sewn.right]))
-    if len(np.unique(panel[members] * (group.max() + 1) + group[members])) == len(members):
+    members = distinct(np.concatenate([sewn.left, sewn.right]), len(panel))
+    place = panel[members] * len(panel) + group[members]
+    order = stable_order(place)
+    members, double = members[order], np.flatnonzero(np.diff(place[order]) == 0)
+    if not len(double):
         return
     within = panel[sewn.left] == panel[sewn.right]
-    explained = _groups(len(panel), sewn.left[within], sewn.right[within])
+    explained = _groups(len(panel), sewn.left[within], sewn.right[within])[members]
     # All points of one panel in one vertex must be connected by the seams within the panel.
-    triples = np.unique(np.stack([panel[members], group[members], explained[members]]), axis=1)
-    double = np.flatnonzero((np.diff(triples[:2], axis=1) == 0).all(axis=0))
+    double = double[explained[double] != explained[double + 1]]
     if len(double):
-        joined = (panel == triples[0, double[0]]) & (group == triples[1, double[0]])
+        first = members[double[0]]
+        joined = (panel == panel[first]) & (group == group[first])
         pairs = np.flatnonzero(joined[sewn.left] | joined[sewn.right])
         number = int(sewn.seam[pairs[-1]])
         raise MeshError(

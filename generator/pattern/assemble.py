@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +14,7 @@ from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import panel_order
 
 
-@dataclass(frozen=True, slots=True)
-class _WalkedStroke:
+class _WalkedStroke(NamedTuple):
     """A stroke of a piece in the walk of an interface."""
 
     panel: str
@@ -41,7 +41,7 @@ def assemble(component: Component, name: str) -> Pattern:
 
 def assemble_and_measure(component: Component, name: str) -> tuple[Pattern, tuple[MeasuredJoin, ...]]:
     """The finished pattern, and its joins with their lengths. Raises as ``assemble`` does."""
-    walks = [(_walk(component, join.left), _walk(component, join.right)) for join in component.joins]
+    walks = _walks(component)
     _require_sewn_once(component, walks)
     divisions = _divisions(walks)
     outward = {piece.name: piece.faces_out for piece in component.pieces}
@@ -71,9 +71,7 @@ def assemble_and_measure(component: Component, name: str) -> tuple[Pattern, tupl
 
 def measure_joins(component: Component) -> tuple[MeasuredJoin, ...]:
     """The joins of a component with their lengths. Raises ``PatternError`` for a join on a missing edge."""
-    return _measured(
-        component, [(_walk(component, join.left), _walk(component, join.right)) for join in component.joins]
-    )
+    return _measured(component, _walks(component))
 
 
 def _measured(
@@ -90,19 +88,25 @@ def panel_of(piece: Piece) -> Panel:
     return _panel(piece, [(stroke,) for stroke in piece.outline.strokes], piece.faces_out)
 
 
-def _walk(component: Component, interface: Interface) -> list[_WalkedStroke]:
-    """The strokes of an interface in the order of its walk."""
-    walk: list[_WalkedStroke] = []
-    for section in interface:
-        outline = component.piece(section.panel).outline
-        outline.run(section.edge)  # raises for a wrong name
-        found = [
-            _WalkedStroke(section.panel, index, section.backward, stroke.length / section.ruffle)
-            for index, stroke in enumerate(outline.strokes)
-            if stroke.name == section.edge
-        ]
-        walk += reversed(found) if section.backward else found
-    return walk
+def _walks(component: Component) -> list[tuple[list[_WalkedStroke], list[_WalkedStroke]]]:
+    """The strokes of both sides of each join in the order of their walks."""
+    edges: dict[tuple[str, str], list[tuple[int, Stroke]]] = {}
+    for piece in component.pieces:
+        for index, stroke in enumerate(piece.outline.strokes):
+            edges.setdefault((piece.name, stroke.name), []).append((index, stroke))
+
+    def walk(interface: Interface) -> list[_WalkedStroke]:
+        walked: list[_WalkedStroke] = []
+        for section in interface:
+            if (section.panel, section.edge) not in edges:
+                component.piece(section.panel).outline.run(section.edge)  # raises ``PatternError`` with the known names
+            found = edges[section.panel, section.edge]
+            for index, stroke in reversed(found) if section.backward else found:
+                length = stroke.length / section.ruffle
+                walked.append(_WalkedStroke(section.panel, index, section.backward, length))
+        return walked
+
+    return [(walk(join.left), walk(join.right)) for join in component.joins]
 
 
 def _require_sewn_once(component: Component, walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]]) -> None:
@@ -143,9 +147,8 @@ def _panel(piece: Piece, parts: Sequence[tuple[Stroke, ...]], outward: bool) -> 
     if not outward:
         loop = [stroke.reversed() for stroke in reversed(loop)]
     corners = np.array([stroke.start for stroke in loop])
-    edges = tuple(
-        Edge(i, (i + 1) % len(loop), stroke.curve, stroke.label, stroke.name) for i, stroke in enumerate(loop)
-    )
+    after = [*range(1, len(loop)), 0]
+    edges = tuple([Edge(i, after[i], stroke.curve, stroke.label, stroke.name) for i, stroke in enumerate(loop)])
     rotation = np.array(piece.rotation) + 0.0  # mirror images have angles of -0.0, which files should not show
     placement = Placement(np.array(piece.in_space(loop[0].start)), rotation)
     return Panel(piece.name, corners - corners[0], edges, placement, piece.label)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.pattern.piece import Interface, Join, Piece, Vector
+from gcd_dataset.generator.pattern.piece import Interface, Join, Piece, Section, Vector
 from gcd_dataset.records import EdgeRole, PanelRole
 
 
@@ -66,7 +66,7 @@ class Component:
 
     def labelled(self, label: PanelRole) -> Self:
         """With this label on every piece without one."""
-        return replace(self, pieces=tuple(p if p.label else replace(p, label=label) for p in self.pieces))
+        return replace(self, pieces=tuple(p if p.label else p.labelled(label) for p in self.pieces))
 
     def with_edge_label(self, interface: Interface, label: EdgeRole) -> Self:
         """With a label on the edges of an interface; every part of a divided edge keeps it."""
@@ -99,6 +99,16 @@ class Component:
             return np.concatenate([piece.points() for piece in self.pieces])
         return np.concatenate([self.piece(s.panel).points(s.edge) for s in self.interface(interface)])
 
+    def _bounds(self, interface: str | None = None) -> tuple[Vector, Vector]:
+        """Lowest and highest corner of the bounding box of ``points`` [cm]."""
+        if interface is None:
+            bounds = [piece.bounds() for piece in self.pieces]
+        else:
+            bounds = [self.piece(section.panel).bounds(section.edge) for section in self.interface(interface)]
+        lows, highs = zip(*bounds, strict=True)
+        (x0, y0, z0), (x1, y1, z1) = map(min, zip(*lows, strict=True)), map(max, zip(*highs, strict=True))
+        return (x0, y0, z0), (x1, y1, z1)
+
     def placed_by(
         self, interface: str, other: "Component", other_interface: str, *, gap: float, top: bool = False
     ) -> Self:
@@ -108,9 +118,9 @@ class Component:
         points from the component's interface to its centre, so that a positive gap moves the components apart.
         Raises ``PatternError`` if centre and interface coincide, which leaves the direction undefined.
         """
-        edge = self.points(interface)
-        start, target = _centre(edge, top), _centre(other.points(other_interface), top)
-        away = _centre(edge, False) - _centre(self.points(), False)
+        edge = self._bounds(interface)
+        start, target = _centre(edge, top), _centre(other._bounds(other_interface), top)
+        away = _centre(edge, False) - _centre(self._bounds(), False)
         distance = float(np.linalg.norm(away))
         if distance == 0.0:
             raise PatternError(
@@ -120,9 +130,9 @@ class Component:
         return self.moved((float(shift[0]), float(shift[1]), float(shift[2])))
 
 
-def _centre(points: Float[np.ndarray, "n 3"], top: bool) -> Float[np.ndarray, "3"]:
-    """Centre of the bounding box, or of its upper side."""
-    low, high = points.min(axis=0), points.max(axis=0)
+def _centre(bounds: tuple[Vector, Vector], top: bool) -> Float[np.ndarray, "3"]:
+    """Centre of a bounding box, or of its upper side."""
+    low, high = np.array(bounds)
     centre = 0.5 * (low + high)
     if top:
         centre[1] = high[1]
@@ -130,22 +140,18 @@ def _centre(points: Float[np.ndarray, "n 3"], top: bool) -> Float[np.ndarray, "3
 
 
 def _renamed(interface: Interface, old: str, new: str) -> Interface:
-    return tuple(replace(section, panel=section.panel.replace(old, new)) for section in interface)
+    return tuple(Section(s.panel.replace(old, new), s.edge, s.backward, s.ruffle) for s in interface)
 
 
 def _with_mirrored_labels(piece: Piece) -> Piece:
     if not any(stroke.label for stroke in piece.outline.strokes):
         return piece
     labels = (s.label.mirrored if isinstance(s.label, EdgeRole) else s.label for s in piece.outline.strokes)
-    strokes = tuple(replace(s, label=label) for s, label in zip(piece.outline.strokes, labels, strict=True))
-    return replace(piece, outline=replace(piece.outline, strokes=strokes))
+    return piece.drawn_as(piece.outline.labelled(labels))
 
 
 def _labelled(piece: Piece, edges: set[tuple[str, str]], label: EdgeRole) -> Piece:
     if not any((piece.name, stroke.name) in edges for stroke in piece.outline.strokes):
         return piece
-    strokes = tuple(
-        replace(stroke, label=label) if (piece.name, stroke.name) in edges else stroke
-        for stroke in piece.outline.strokes
-    )
-    return replace(piece, outline=replace(piece.outline, strokes=strokes))
+    labels = (label if (piece.name, stroke.name) in edges else stroke.label for stroke in piece.outline.strokes)
+    return piece.drawn_as(piece.outline.labelled(labels))

@@ -10,6 +10,7 @@ A side seam from the hem at (0, 0) to the hip at (2, 20), vertical at the hip:
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from math import atan2, cos, degrees, hypot, sin
 from typing import ClassVar, TypeAlias
 
@@ -34,17 +35,19 @@ STEP_SHARES = 0.5 ** np.arange(11)  # shares of a Newton step tried in the line 
 LEAST_EIGENVALUE = 1e-2  # lower bound of the Hessian's eigenvalues in absolute value
 PROBE = 1e-3  # step of the finite differences, as a fraction of the chord
 
-SAMPLES = np.linspace(0.0, 1.0, 49)[:, None]
-LENGTH_NODES = 0.5 * (QUADRATURE_NODES[:, None] + 1)
-AT_SAMPLES, AT_LENGTH_NODES = (((1 - t) ** 2, 2 * t * (1 - t), t**2) for t in (SAMPLES, LENGTH_NODES))
+SAMPLES = np.linspace(0.0, 1.0, 49)
 LENGTH_WEIGHTS = 0.5 * QUADRATURE_WEIGHTS
+FIRST = len(LENGTH_WEIGHTS)  # the first sample of the nodes
+NODES = np.concatenate(
+    [0.5 * (QUADRATURE_NODES + 1), SAMPLES]
+)  # curve parameters, for the length and for the curvature
+BASIS = ((1 - NODES) ** 2, 2 * NODES * (1 - NODES), NODES**2)  # the quadratic Bernstein polynomials
 PAIRS = ((0, 1), (0, 2), (1, 2))
 AXES = np.eye(3)
 STENCIL = np.array([0 * AXES[0], *AXES, *-AXES, *(AXES[i] + AXES[j] for i, j in PAIRS)])
+PROBES = PROBE * STENCIL
 
 Batch: TypeAlias = Float[np.ndarray, "n 2"]
-Basis: TypeAlias = tuple[Float[np.ndarray, "k 1"], Float[np.ndarray, "k 1"], Float[np.ndarray, "k 1"]]
-"""The quadratic Bernstein polynomials at ``k`` curve parameters."""
 
 
 def smooth_cubic(start: Point, end: Point, *, start_tangent: Point, end_tangent: Point, length: float) -> Stroke:
@@ -90,7 +93,7 @@ def _solved(fit: "_CubicFit", guess: tuple[float, float, float]) -> Stroke:
     return fitted
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _CubicFit:
     """The optimisation problem in units of the chord, for batches of unknowns (start arm, end arm, slide)."""
 
@@ -103,32 +106,40 @@ class _CubicFit:
     norm: ClassVar[int] = CURVATURE_NORM
     slide_weight: ClassVar[float] = EXACT_TANGENT_SLIDE_WEIGHT
 
-    @property
+    @cached_property
     def chord(self) -> float:
         """Distance from start to end [cm]."""
         return hypot(self.end[0] - self.start[0], self.end[1] - self.start[1])
 
+    @cached_property
+    def along(self) -> Float[np.ndarray, "2"]:
+        """The chord [chords]."""
+        return (np.array(self.end) - np.array(self.start)) / self.chord
+
+    @cached_property
+    def tangents(self) -> Float[np.ndarray, "2 2"]:
+        """The tangents at start and end."""
+        return np.array([self.start_tangent, self.end_tangent])
+
     def controls(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Batch, Batch, Batch]:
         """The legs of the control polygon [chords]."""
-        along = (np.array(self.end) - np.array(self.start)) / self.chord
-        first, last = unknowns[:, :1] * self.start_tangent, unknowns[:, 1:2] * self.end_tangent
-        return first, (1 + unknowns[:, 2:]) * along - first - last, last
+        first, last = unknowns[:, :1] * self.tangents[0], unknowns[:, 1:2] * self.tangents[1]
+        return first, (1 + unknowns[:, 2:]) * self.along - first - last, last
 
     def evaluate(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Cost [chord⁻²] and excess length [chords]."""
-        legs = [leg[:, None, :] for leg in self.controls(unknowns)]
-        speed = _norm(_velocity(legs, AT_LENGTH_NODES))
-        velocity = _velocity(legs, AT_SAMPLES)
-        change = 6 * ((1 - SAMPLES) * (legs[1] - legs[0]) + SAMPLES * (legs[2] - legs[1]))
-        cross = velocity[..., 0] * change[..., 1] - velocity[..., 1] * change[..., 0]
-        curvature = np.abs(cross) / _norm(velocity) ** 3
-        peak = np.mean(curvature**self.norm, axis=1) ** (1 / self.norm)
+        legs = self.controls(unknowns)
+        (dx, ddx), (dy, ddy) = (_derivatives_along(*(leg[:, axis, None] for leg in legs)) for axis in (0, 1))
+        speed = np.sqrt(dx * dx + dy * dy)
+        curvature = np.abs(dx[:, FIRST:] * ddy - dy[:, FIRST:] * ddx) / speed[:, FIRST:] ** 3
+        peak = ((curvature**self.norm).sum(axis=1) / len(SAMPLES)) ** (1 / self.norm)
         slide = unknowns[:, 2]
-        return peak**2 + self.slide_weight * self.chord**4 * slide**2, speed @ LENGTH_WEIGHTS - self.length / self.chord
+        length = np.ascontiguousarray(speed[:, :FIRST]) @ LENGTH_WEIGHTS
+        return peak**2 + self.slide_weight * self.chord**4 * slide**2, length - self.length / self.chord
 
     def newton_step(self, unknowns: Float[np.ndarray, "3"], multiplier: float) -> tuple[Float[np.ndarray, "3"], float]:
         """Newton step towards a stationary point of the Lagrangian, and the multiplier there."""
-        cost, excess = self.evaluate(unknowns + PROBE * STENCIL)
+        cost, excess = self.evaluate(unknowns + PROBES)
         (cost_slope, cost_bend), (excess_slope, excess_bend) = _derivatives(cost), _derivatives(excess)
         values, axes = np.linalg.eigh(cost_bend + multiplier * excess_bend)
         system = np.zeros((4, 4))
@@ -155,7 +166,7 @@ class _CubicFit:
         return Stroke(self.start, self.end).through([(float(x), float(y)) for x, y in points])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _SShapedFit(_CubicFit):
     """The same problem for unknowns (arm, deviation, slide), the deviation as the tangent of its angle."""
 
@@ -165,10 +176,14 @@ class _SShapedFit(_CubicFit):
 
     def controls(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Batch, Batch, Batch]:
         """The legs of the control polygon [chords]; the last equals the first."""
-        along = (np.array(self.end) - np.array(self.start)) / self.chord
+        arm = unknowns[:, :1] * (self.tangents[0] + unknowns[:, 1:2] * self.across)
+        return arm, (1 + unknowns[:, 2:]) * self.along - 2 * arm, arm
+
+    @cached_property
+    def across(self) -> Float[np.ndarray, "2"]:
+        """The tangent turned to the left."""
         x, y = self.start_tangent
-        arm = unknowns[:, :1] * (np.array([x, y]) + unknowns[:, 1:2] * np.array([-y, x]))
-        return arm, (1 + unknowns[:, 2:]) * along - 2 * arm, arm
+        return np.array([-y, x])
 
     def evaluate(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Cost with both deviations [chord⁻²] and excess length [chords]."""
@@ -176,13 +191,12 @@ class _SShapedFit(_CubicFit):
         return cost + 4 * self.chord**2 * (1 - 1 / np.sqrt(1 + unknowns[:, 1] ** 2)), excess
 
 
-def _velocity(legs: list[Float[np.ndarray, "n 1 2"]], basis: Basis) -> Float[np.ndarray, "n k 2"]:
-    return 3 * (basis[0] * legs[0] + basis[1] * legs[1] + basis[2] * legs[2])
-
-
-def _norm(vectors: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "n k"]:
-    x, y = vectors[..., 0], vectors[..., 1]
-    return np.sqrt(x * x + y * y)
+def _derivatives_along(
+    first: Float[np.ndarray, "n 1"], middle: Float[np.ndarray, "n 1"], last: Float[np.ndarray, "n 1"]
+) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n s"]]:
+    """A coordinate of the first derivative at ``NODES`` and of the second at ``SAMPLES``, from the legs'."""
+    change = (1 - SAMPLES) * (middle - first) + SAMPLES * (last - middle)
+    return 3 * (BASIS[0] * first + BASIS[1] * middle + BASIS[2] * last), 6 * change
 
 
 def _derivatives(values: Float[np.ndarray, "10"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:

@@ -7,7 +7,9 @@
 100.0
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -21,7 +23,7 @@ from gcd_dataset.records import EdgeRole
 CLOSED = 1e-6  # cm between the last point and the first, at most
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Outline:
     """A chain of strokes, each from the end of the previous stroke. Drawing methods return a new outline."""
 
@@ -98,6 +100,11 @@ class Outline:
         strokes = (*self.strokes[:first], *new, *self.strokes[first + len(old) :])
         return type(self)(strokes[0].start).then(*strokes)
 
+    def labelled(self, labels: Iterable[EdgeRole | str]) -> Self:
+        """With a label on every stroke."""
+        strokes = (stroke.called(stroke.name, label) for stroke, label in zip(self.strokes, labels, strict=True))
+        return type(self)(self.origin, tuple(strokes))
+
     def mirrored(self) -> Self:
         """The mirror image about the y axis, drawn in the same order."""
         return type(self)((-self.origin[0], self.origin[1]), tuple(stroke.mirrored() for stroke in self.strokes))
@@ -106,7 +113,7 @@ class Outline:
         """Points along the outline, dense enough for a bounding box [cm]."""
         return np.concatenate([stroke.points() for stroke in self.strokes])
 
-    @property
+    @cached_property
     def area(self) -> float:
         """Area of a closed outline [cm²], positive if drawn counter-clockwise."""
         return sum(stroke.swept_area for stroke in self.strokes)

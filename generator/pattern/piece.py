@@ -9,7 +9,7 @@ pattern joins one edge to one edge.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from typing import Self, TypeAlias
 
@@ -19,7 +19,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.outline import Outline
-from gcd_dataset.generator.pattern.stroke import rotate
+from gcd_dataset.generator.pattern.stroke import Stroke, rotate
 from gcd_dataset.records import PanelRole, Placement
 
 EDGE_BY_EDGE = 0.05  # share of a seam: corners that differ by less are sewn to each other, GarmentCode
@@ -54,7 +54,7 @@ class Join:
 
 def backwards(interface: Interface) -> Interface:
     """The interface walked from its other end."""
-    return tuple(replace(section, backward=not section.backward) for section in reversed(interface))
+    return tuple(Section(s.panel, s.edge, not s.backward, s.ruffle) for s in reversed(interface))
 
 
 def shared_breaks(left: Sequence[float], right: Sequence[float]) -> tuple[list[list[float]], list[list[float]]]:
@@ -135,12 +135,20 @@ class Piece:
         x, y = rotate(self.translation[:2], angle)
         about_x, about_y, about_z = self.rotation
         turned = (about_x, about_y, about_z + angle)  # z is the last axis applied, so turns about it add up
-        return replace(self, translation=(x, y, self.translation[2]), rotation=turned)
+        return type(self)(self.name, self.outline, (x, y, self.translation[2]), turned, self.label)
 
     def mirrored(self, name: str) -> Self:
         """The mirror image about the plane x = 0, with a new name."""
         (x, y, z), (a, b, c) = self.translation, self.rotation
-        return replace(self, name=name, outline=self.outline.mirrored(), translation=(-x, y, z), rotation=(a, -b, -c))
+        return type(self)(name, self.outline.mirrored(), (-x, y, z), (a, -b, -c), self.label)
+
+    def labelled(self, label: PanelRole | str) -> Self:
+        """With another label."""
+        return type(self)(self.name, self.outline, self.translation, self.rotation, label)
+
+    def drawn_as(self, outline: Outline) -> Self:
+        """With another outline."""
+        return type(self)(self.name, outline, self.translation, self.rotation, self.label)
 
     def along(self, *edges: str, ruffle: float = 1.0) -> Interface:
         """The interface of these edges in turn, each in drawing direction; ``ruffle``: see ``Section``."""
@@ -165,10 +173,24 @@ class Piece:
 
     def points(self, edge: str | None = None) -> Float[np.ndarray, "n 3"]:
         """Points along the outline, or along one edge, in space [cm]."""
-        flat = self.outline.points() if edge is None else np.concatenate([s.points() for s in self.outline.run(edge)])
+        flat = np.concatenate([stroke.points() for stroke in self._strokes(edge)])
         if self.rotation == UNTURNED:
             return np.column_stack([flat, np.zeros(len(flat))]) + self.translation
         return self.placement.apply(flat)
+
+    def bounds(self, edge: str | None = None) -> tuple[Vector, Vector]:
+        """Lowest and highest corner of the bounding box of ``points`` [cm]."""
+        if self.rotation != UNTURNED:
+            points = self.points(edge)
+            (x0, y0, z0), (x1, y1, z1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+            return (x0, y0, z0), (x1, y1, z1)
+        lows, highs = zip(*(stroke.bounds() for stroke in self._strokes(edge)), strict=True)
+        (x0, y0), (x1, y1) = map(min, zip(*lows, strict=True)), map(max, zip(*highs, strict=True))
+        x, y, z = self.translation
+        return (x0 + x, y0 + y, z), (x1 + x, y1 + y, z)
+
+    def _strokes(self, edge: str | None) -> tuple[Stroke, ...]:
+        return self.outline.strokes if edge is None else self.outline.run(edge)
 
     @property
     def faces_out(self) -> bool:
@@ -179,8 +201,9 @@ class Piece:
         """
         if self.rotation == UNTURNED:  # nearly all pieces: upright, in front or behind
             return self._runs_outwards(self.translation[2])
-        corners = self.placement.apply(np.array([stroke.start for stroke in self.outline.strokes]))
-        centre, normal = corners.mean(axis=0), self.placement.matrix[:, 2]
+        placement = self.placement
+        corners = placement.apply(np.array([stroke.start for stroke in self.outline.strokes]))
+        centre, normal = corners.mean(axis=0), placement.matrix[:, 2]
         lies_flat = bool(abs(normal[1]) > LYING_FLAT)
         outward = float(normal[1] if lies_flat else normal[0] * centre[0] + normal[2] * centre[2])
         return self._runs_outwards(outward)

@@ -88,6 +88,13 @@ class Stroke:
             return np.array([self.start, self.end])
         return _extent_points(self.start, self.end, self.curve)
 
+    def bounds(self) -> tuple[Point, Point]:
+        """Lower left and upper right corner of the bounding box of ``points`` [cm]."""
+        if not isinstance(self.curve, Line):
+            return _bounds(self.start, self.end, self.curve)
+        (x0, y0), (x1, y1) = self.start, self.end
+        return (min(x0, x1), min(y0, y1)), (max(x0, x1), max(y0, y1))
+
     def at(self, t: float) -> Point:
         """The point at curve parameter ``t`` [cm]."""
         if not isinstance(self.curve, Arc):
@@ -179,6 +186,10 @@ class Stroke:
                 raise PatternError(f"edge {self.name}: {len(points)} control points are more than a cubic's four")
         return self._drawn(start, end, curve)
 
+    def called(self, name: str, label: EdgeRole | str) -> Self:
+        """The same stroke with another name and label."""
+        return type(self)(self.start, self.end, self.curve, name, label)
+
     def reversed(self) -> Self:
         """The same stroke, drawn from its end to its start."""
         return self._drawn(self.end, self.start, reversed_curve(self.curve))
@@ -220,6 +231,13 @@ def _extent_points(start: Point, end: Point, curve: Curve) -> Float[np.ndarray, 
     points = curve_points(start, end, curve, OUTLINE_SAMPLES)
     points.flags.writeable = False
     return points
+
+
+@lru_cache(maxsize=1024)  # likewise
+def _bounds(start: Point, end: Point, curve: Curve) -> tuple[Point, Point]:
+    points = _extent_points(start, end, curve)
+    (low_x, low_y), (high_x, high_y) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return (low_x, low_y), (high_x, high_y)
 
 
 def _between(points: Sequence[Point], t: float) -> list[Point]:
