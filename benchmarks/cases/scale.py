@@ -29,6 +29,7 @@ import numpy as np
 from benchmarks.cases import CaseResult, Figure
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeJob
+from gcd_dataset.generator.drape.batches import PreparedJob
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest, SharedDraper, address_for
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.maker import produce
@@ -146,9 +147,10 @@ def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pi
     jobs = [
         DrapeJob(one.box_mesh, one.body, one.size, coarse=one.coarse, start=one.start) for one in worn if one.box_mesh
     ]
+    ready = [PreparedJob.of(job) for job in jobs]
     picture = config.picture if pictured else 0
     with SharedDraper(address_for(devices_of(config)[0])) as draper:
-        requests = (DrapeRequest(number, _on_new_body(job, number), picture) for number, job in enumerate(cycle(jobs)))
+        requests = (_on_new_body(one, number, picture) for number, one in enumerate(cycle(ready)))
         for request in islice(requests, QUEUED):
             draper.send(request)
         for request in islice(requests, warm):
@@ -162,9 +164,12 @@ def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pi
         return counted / (time.perf_counter() - begun)
 
 
-def _on_new_body(job: DrapeJob, number: int) -> DrapeJob:
-    """The job on a slightly moved body: the draper caches data per body, and a data set has a new body per job."""
-    return replace(job, body=replace(job.body, vertices=job.body.vertices + SHIFT * number))
+def _on_new_body(ready: PreparedJob, number: int, picture: int) -> DrapeRequest:
+    """A request on a slightly moved body: the draper caches data per body, and a data set has a new body per job."""
+    job = replace(ready.job, body=replace(ready.job.body, vertices=ready.job.body.vertices + SHIFT * number))
+    skin, shape = ready.field.digests
+    field = replace(ready.field, digests=(skin, shape + str(number).encode()))
+    return DrapeRequest(number, job, picture, prepared=replace(ready, job=job, field=field))
 
 
 @contextmanager

@@ -84,7 +84,7 @@ def _judged(jobs: Sequence[DrapeJob], peer: PeerDrapes, device: str) -> list[Dra
     solver = Solver(build_model(jobs, config, device), config)
     solver.state.x.assign(wp.array(np.concatenate(peer.vertices), dtype=wp.vec3, device=device))
     own, body, through = solver.self_crossings(), solver.body_crossings(), solver.body_through()
-    stretches = to_host(solver.stretches())
+    stretches = solver.stretches().numpy()
     parts = np.split(stretches, [span.start for span in solver.model.edges[1:]])
     drapes = []
     for k, (job, vertices) in enumerate(zip(jobs, peer.vertices, strict=True)):

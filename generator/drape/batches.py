@@ -18,7 +18,7 @@ from gcd_dataset.generator.device import WorkStream, keep_freed_memory, launch_l
 from gcd_dataset.generator.drape.body_field import HostField, host_field
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import BodyConstraints
-from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING
+from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING, STOPPED
 from gcd_dataset.generator.drape.model import ClothModel, build_model
 from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_worlds
 from gcd_dataset.generator.drape.slots import WIDTH, CoarseEnd, Slots, room_for, rooms_of
@@ -63,7 +63,7 @@ class Pass:
     """The coarse mesh of the garment's first pass, if it has one."""
     earlier: tuple[Drape, ...] = ()
     """The drapes of the garment before this pass, none of them free of crossings."""
-    room: int = 1
+    room_factor: int = 1
     """Factor of its room for contacts: doubled whenever a list has run over."""
 
     @classmethod
@@ -94,7 +94,7 @@ class Pass:
 
     def with_more_room(self) -> Self:
         """The first pass of a drape in place of this one, whose contact lists have run over."""
-        return replace(self.begun(), room=2 * self.room)
+        return replace(self.begun(), room_factor=2 * self.room_factor)
 
     def begun(self) -> Self:
         """The first pass of this drape."""
@@ -172,7 +172,7 @@ def model_of(passes: Sequence[Pass], config: DrapeConfig, device: str) -> ClothM
         device,
         coarse=[k for k, each in enumerate(passes) if each.coarse],
         sewing_times=[each.sewing_time(config) for each in passes],
-        rooms=[each.room for each in passes],
+        rooms=[each.room_factor for each in passes],
         constraints=[each.constraints for each in passes],
         fields=[None if each.prepared is None else each.prepared.field for each in passes],
     )
@@ -281,16 +281,20 @@ class Lane:
         solver, passes = self._slots.solver, self._passes
         state = solver.state
         # Frames queued ahead may have ended more garments.
-        status, frames = map(np.array, solver.mirror.fetch(state.status, state.frames))
+        fetched = solver.mirror.fetch(state.status, state.frames, state.contacts.overfull)
+        status, frames, overfull = map(np.array, fetched)  # ``collect`` fetches too
         if self._stream is not None:
             self._stream.free_dropped()
         ended = [w for w in passes if status[w] != RUNNING]
         fine = [w for w in ended if passes[w].coarse is None]
         drapes = collect(solver, [passes[w].fine for w in fine], fine)
-        slid = slid_worlds(solver, {w: passes[w].job for w in ended if passes[w].coarse})
+        slid = slid_worlds(solver, {w: passes[w].job for w in ended if passes[w].coarse and status[w] == STOPPED})
         coarse = [w for w in ended if passes[w].coarse]
         starts = self._coarse_ends([w for w in coarse if w not in slid and status[w] != DIVERGED])
         for w in coarse:
+            if overfull[w] and passes[w].room_factor < MOST_ROOM:
+                self._waiting.append(passes[w].with_more_room())
+                continue
             count = int(frames[w])
             again = passes[w].restarted(count, self._config) if w in slid else passes[w].refined(starts.get(w), count)
             self._waiting.append(again)
@@ -298,7 +302,7 @@ class Lane:
         for w, drape in zip(fine, drapes, strict=True):
             whole = replace(drape, frames=drape.frames + passes[w].coarse_frames)
             every = (*passes[w].earlier, whole)
-            if drape.outcome is Outcome.OVERFULL and passes[w].room < MOST_ROOM:
+            if drape.outcome is Outcome.OVERFULL and passes[w].room_factor < MOST_ROOM:
                 self._waiting.append(passes[w].with_more_room())
             elif crosses(whole) and len(every) < self._config.most_drapes:
                 self._waiting.append(passes[w].again(whole))
@@ -340,7 +344,9 @@ class Lane:
             return
         chosen = self._waiting
         if self._slots is not None and self._passes:
-            chosen = chosen[: self._slots.count_fitting([each.room * room_for(each.job.box_mesh) for each in chosen])]
+            chosen = chosen[
+                : self._slots.count_fitting([each.room_factor * room_for(each.job.box_mesh) for each in chosen])
+            ]
         self._is_crowded = len(chosen) < len(self._waiting) and len(self._passes) <= CROWDED * self._size
         if not chosen:
             return
@@ -350,18 +356,21 @@ class Lane:
                 self._renew(new)
             assert self._slots is not None
             worlds = self._slots.place(new, [each.start for each in chosen]) if self._slots.suits(new) else []
+        if len(worlds) < len(chosen):
+            self.synchronize()  # dropped bodies free their meshes at once; else ``refresh_bvh`` waits for the fields
         self._passes |= dict(zip(worlds, chosen, strict=False))
         self._waiting = self._waiting[len(worlds) :]
 
     def _renew(self, new: ClothModel) -> None:
         """Make the buffers of an empty batch, or larger ones, for the garments of ``new``: all that wait."""
         on_cpu, rows = self._device == "cpu", new.rows
-        rooms = [
-            max(own, each.room * room_for(each.job.box_mesh if on_cpu else each.fine.box_mesh))
-            for each, own in zip(self._waiting, rooms_of(new), strict=True)
+        usual = [room_for(each.job.box_mesh if on_cpu else each.fine.box_mesh) for each in self._waiting]
+        count, spare = (len(usual), 1.0) if self._pending.ended else (self._size, SPARE)
+        needed = [
+            max(own, each.room_factor * room)
+            for each, own, room in zip(self._waiting, rooms_of(new), usual, strict=True)
         ]
-        count, spare = (len(rooms), 1.0) if self._pending.ended else (self._size, SPARE)
-        room = max(int(spare * count * np.mean(rooms)), sum(rooms))
+        room = max(int(spare * count * np.mean(usual)), sum(needed))
         width, coupled = max(WIDTH, rows.width), bool(rows.coupled)
         if self._slots is not None and not on_cpu:
             if self._slots.room >= room and self._slots.suits(new):

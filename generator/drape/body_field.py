@@ -29,7 +29,7 @@ CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on 
 BAND = 4.0  # cm outside the skin in which distances are exact
 LEAF = 1  # faces in a leaf of the BVH on a GPU: fields take a quarter less time than with Warp's default of 4
 CACHED = 8  # fields and skins kept for later drapes
-HOSTS_CACHED = 32  # host fields kept, 0.4 MB each
+HOSTS_CACHED = 32  # host fields kept, 0.1 MB each
 FOREARM = 30  # part number of an arm from the elbow to the finger tips; no value of ``BodyPart``
 ELBOW = 0.42  # share of the way from the shoulder to the finger tips
 TOES = 4.0  # cm above the sole
@@ -111,7 +111,7 @@ class HostField:
     digests: tuple[bytes, bytes]
     """See ``_digests``."""
     parts: UInt8[np.ndarray, " g"]
-    """Body part of each face, with ``FOREARM``, and with the bit ``LID`` at lids."""
+    """Body part of each face, with ``FOREARM``, and with the bit ``LID`` where it shares a vertex with a lid."""
     low: Float[np.ndarray, "3"]
     """Centre of the first voxel [cm]."""
     shape: tuple[int, ...]

@@ -19,7 +19,7 @@ from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import fell, find_keepers, off_body
 from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.kernels.place import NOT_COUNTED
-from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, STOPPED
+from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE
 from gcd_dataset.generator.drape.solver import CROSSING_COUNTS, SELF_CROSSINGS, Solver
 from gcd_dataset.generator.quality import quantile
 from gcd_dataset.records import Drape, Outcome
@@ -156,7 +156,7 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     with launch_lock:
         chosen = solver.chosen(np.isin(np.arange(model.n_worlds), worlds))
         counts = solver.counted(SELF_CROSSINGS, chosen)
-        # Read ``overfull`` now: the searches below may overflow their lists too.
+        # Read ``overfull`` now: the searches below may overflow their lists too. Copies, since they fetch as well.
         crossings, overfull, status, frames = map(
             np.array, fetch(counts, state.contacts.overfull, state.status, state.frames)
         )
@@ -230,12 +230,9 @@ def _crossings(drape: Drape) -> int:
 
 
 def slid_worlds(solver: Solver, jobs: Mapping[int, DrapeJob]) -> set[int]:
-    """The worlds whose drape was stopped because the garment slid off; ``jobs``: the jobs of the worlds in question."""
-    stopped = [w for w in np.flatnonzero(to_host(solver.state.status) == STOPPED).tolist() if w in jobs]
-    if not stopped:
-        return set()
-    x, vertices = to_host(solver.state.x), solver.model.vertices
-    return {w for w in stopped if slid_off(jobs[w], x[vertices[w]])}
+    """The worlds whose drape was stopped because the garment slid off; ``jobs``: the jobs of stopped worlds."""
+    x, vertices = solver.state.x, solver.model.vertices
+    return {w for w, job in jobs.items() if slid_off(job, to_host(x[vertices[w]]))}
 
 
 def slid_off(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> str:

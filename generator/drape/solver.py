@@ -197,7 +197,7 @@ class Solver:
             self._step(odd=number % 2 == 1, before_search=number + 1 == self.config.search_every)
 
     def _end_frame(self) -> None:
-        """Update the status (at rest, slid off, fallen, diverged, out of frames); plan the next crossing search."""
+        """Update the status of each world, and plan the next search for crossings."""
         m, s = self.model, self.state
         s.crossing.any_searched.zero_()
         threads = 1 if m.device == "cpu" else 256
@@ -211,7 +211,10 @@ class Solver:
             stillness.end_frame,
             m.n_worlds,
             [m.worlds, s.time],
-            [s.status, s.frames, s.held, s.loose_after, s.contacts.crossing_count, s.counts, s.crossing],
+            [
+                *(s.status, s.frames, s.held, s.loose_after, s.contacts.overfull),
+                *(s.contacts.crossing_count, s.counts, s.crossing),
+            ],
         )
 
     def _step(self, *, odd: bool, before_search: bool) -> None:

@@ -236,8 +236,9 @@ class SharedDraper:
         from gcd_dataset.generator.drape.batches import PreparedJob
 
         request.job.require_drapeable()
-        with contextlib.suppress(Exception):  # raised again in the drape
-            request = replace(request, prepared=PreparedJob.of(request.job))
+        if request.prepared is None:
+            with contextlib.suppress(Exception):  # raised again in the drape
+                request = replace(request, prepared=PreparedJob.of(request.job))
         try:
             send_object(self._connection, request)
         except OSError as error:

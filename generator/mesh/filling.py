@@ -15,7 +15,7 @@ ZERO, HALF, TWO = wp.constant(f64(0.0)), wp.constant(f64(0.5)), wp.constant(f64(
 PITCH_64, ROW_64 = wp.constant(f64(PITCH)), wp.constant(f64(ROW))
 CLEAR = wp.constant(f64(0.60))  # pitches: least distance of a lattice point from border points and middles of segments
 APART = wp.constant(f64(0.80))  # circumradii: least distance of a seed of the refinement from all points
-FLAT = wp.constant(f64(1.0e-12))  # square spacings: a corner of the outline with a smaller triangle is not clipped
+FLAT = wp.constant(f64(1.0e-10))  # square spacings: twice the area of a triangle of points on a line, but for rounding
 THIN = wp.constant(f64(1.0e-9))  # spacings: where a triangle is less high, the outline touches itself
 CLEARLY = wp.constant(f64(1.0e-9))  # square spacings: twice the area between a side and a point that is not on it
 EQUAL = wp.constant(f64(1.0e-12))  # relative: a point so near to a circle lies on it
@@ -64,8 +64,8 @@ def set_face(faces: Rows, face: int, a: int, b: int, c: int):
 
 
 @wp.func
-def is_convex(points: Points, a: int, k: int, b: int, spacing: f64) -> int:
-    return wp.where(turn(points[a], points[k], points[b]) > FLAT * spacing * spacing, 1, 0)
+def is_convex(points: Points, a: int, k: int, b: int, slack: f64) -> int:
+    return wp.where(turn(points[a], points[k], points[b]) > slack, 1, 0)
 
 
 @wp.func
@@ -89,8 +89,9 @@ def clip_ears(
         before[k] = (k + n - 1) % n
         after[k] = (k + 1) % n
         over[k] = OUTSIDE
+    slack = FLAT * spacing * spacing
     for k in range(n):
-        convex[k] = is_convex(points, before[k], k, after[k], spacing)
+        convex[k] = is_convex(points, before[k], k, after[k], slack)
     count = int(0)
     left = int(n)
     missed = int(0)
@@ -105,10 +106,11 @@ def clip_ears(
             # Only a point where the outline is not convex can be the first inside an ear.
             if convex[q] == 0:
                 p = points[q]
-                # Most points lie beyond the diagonal. Nested, since all operands of ``and`` are computed.
-                if turn(points[b], points[a], p) >= ZERO:
-                    if turn(points[a], points[k], p) >= ZERO:
-                        if turn(points[k], points[b], p) >= ZERO:
+                # Most points lie beyond the diagonal. Nested, since all operands of ``and`` are computed. Without slack
+                # points on a line with the diagonal may be left over, and no triangle joins them.
+                if turn(points[b], points[a], p) >= -slack:
+                    if turn(points[a], points[k], p) >= -slack:
+                        if turn(points[k], points[b], p) >= -slack:
                             is_ear = False
                             in_the_way = q
             q = after[q]
@@ -123,8 +125,8 @@ def clip_ears(
             over[a] = count
             after[a] = b
             before[b] = a
-            convex[a] = is_convex(points, before[a], a, b, spacing)
-            convex[b] = is_convex(points, a, b, after[b], spacing)
+            convex[a] = is_convex(points, before[a], a, b, slack)
+            convex[b] = is_convex(points, a, b, after[b], slack)
             count += 1
             left -= 1
             missed = 0

@@ -5,6 +5,8 @@ One launch fills the fields of all bodies: for a single body the latency of a la
 
 import warp as wp
 
+from gcd_dataset.records import BodyPart
+
 wp.set_module_options({"enable_backward": False})
 
 BLOCK = wp.constant(4)  # voxels along a side
@@ -12,6 +14,7 @@ HALF_BLOCK = wp.constant(2.6)  # voxels from a block's centre to its furthest vo
 UNLIMITED = wp.constant(1.0e3)  # cm, search radius
 ROUNDING = wp.constant(1.0e-2)  # cm, added to search radii; single precision resolves it 200 m from the origin
 NEAR, INSIDE, OUTSIDE, NEAR_INSIDE = wp.constant(0.0), wp.constant(1.0), wp.constant(2.0), wp.constant(3.0)
+HEAD = wp.constant(BodyPart.HEAD.value)
 LID = wp.constant(128)  # bit of ``Voxels.face_parts``
 
 
@@ -109,9 +112,11 @@ def fill_fields(bodies: wp.array(dtype=Voxels), cell: float, band: float):
     else:
         near = wp.mesh_query_point_sign_normal(body.mesh, p, wp.min(reach, band))
         sign = near.sign
-        if near.result and (int(body.face_parts[near.face]) & LID) != 0:
-            # Behind the lips a lid folds back on the skin, where signs by normals are wrong. Elsewhere they are right,
-            # and faster.
+        part = int(0)
+        if near.result:
+            part = int(body.face_parts[near.face])
+        if (part & LID) != 0 or (part == HEAD and sign < 0.0):
+            # Signs by normals are wrong behind the lips, where a lid folds back on the skin, and beside sharp ears.
             winding = wp.mesh_query_point_sign_winding_number(body.mesh, p, wp.min(reach, band))
             sign = winding.sign
         if not near.result:

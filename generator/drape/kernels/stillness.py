@@ -86,6 +86,7 @@ def end_frame(
     frames: wp.array(dtype=int),
     held: wp.array(dtype=int),
     loose_after: wp.array(dtype=float),
+    overfull: wp.array(dtype=int),
     crossing_count: wp.array(dtype=int),
     counts: FrameCounts,
     crossing: CrossingWatch,
@@ -115,7 +116,7 @@ def end_frame(
                 status[w] = STOPPED
         if counts.above_floor[w] == 0 and time[w] >= world.sewing_time + world.held_time and status[w] == RUNNING:
             status[w] = STOPPED
-        if status[w] == RUNNING and frames[w] >= world.max_frames:
+        if status[w] == RUNNING and (frames[w] >= world.max_frames or overfull[w] != 0):
             status[w] = STOPPED
     counts.moving[w] = 0
     counts.fast[w] = 0

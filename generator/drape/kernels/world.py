@@ -7,7 +7,7 @@ wp.set_module_options({"enable_backward": False})
 RUNNING = 0
 DONE = 1
 DIVERGED = 2
-STOPPED = 3  # out of frames, slid off, or below the floor
+STOPPED = 3  # out of frames, slid off, below the floor, or out of room for contacts
 
 
 @wp.struct

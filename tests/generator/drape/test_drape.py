@@ -86,7 +86,7 @@ def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(
 ) -> None:
     """Garments continue from coarse drapes. One fabric with a grain: others join it, or it needs other buffers."""
     monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", 1)
-    jobs = [on_a_ball(columns) for columns in (8, 4, 7, 6)]
+    jobs = [on_a_ball(columns) for columns in (10, 4, 7, 3)]
     jobs[grained] = replace(jobs[grained], fabric=Fabric(tensile=Tensile(60.0, 30.0, 12.0)))
     config = DrapeConfig(max_frames=50)
     alone = [drape for job in jobs for _, drape in drape_unordered([job], config, device="cpu", at_once=1)]
@@ -94,7 +94,7 @@ def test_a_garment_gets_the_same_drape_as_others_leave_and_join_its_batch(
     in_two_batches = dict(drape_unordered(iter(jobs), config, device="cpu", at_once=3, lanes=2))
     assert [in_turn[number] for number in range(len(jobs))] == alone
     assert [in_two_batches[number] for number in range(len(jobs))] == alone
-    assert len({drape.frames for drape in alone}) > 1  # drapes end at different times
+    assert len({drape.frames for drape in alone}) > 2  # drapes end at different times
 
 
 def test_jobs_may_wait_for_threads_that_launch_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,14 +239,15 @@ def folded(job: DrapeJob) -> DrapeJob:
 
 
 def test_a_garment_with_more_contacts_than_room_is_draped_with_more_room() -> None:
-    """It drapes as it does with that room from the start; others in the batch drape on."""
-    jobs = [on_a_ball(6), folded(on_a_ball(6))]
+    """It drapes as it does with that room from the start; others in the batch drape as they do alone."""
+    jobs = [on_a_ball(6), folded(on_a_ball(6)), on_a_ball(5)]
     config = DrapeConfig(contact_capacity=12, max_frames=3, most_drapes=1)
-    apart, heap = drape_batch(jobs, config, device="cpu", at_once=1)
+    drapes = dict(drape_unordered(jobs, config, device="cpu", at_once=3))
+    heap = drapes.pop(1)
     assert heap.outcome is not Outcome.OVERFULL
-    [roomy] = drape_batch(jobs[1:], replace(config, contact_capacity=128), device="cpu")
+    [roomy] = drape_batch(jobs[1:2], replace(config, contact_capacity=128), device="cpu")
     assert np.array_equal(heap.vertices, roomy.vertices)
-    assert apart.frames <= config.max_frames
+    assert [drapes[0], drapes[2]] == drape_batch(jobs[::2], config, device="cpu")
 
 
 def test_an_overfull_contact_list_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import shapely
 
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.device import launch_lock
-from gcd_dataset.generator.mesh.triangulate import LONGEST, triangulate, triangulator
+from gcd_dataset.generator.mesh.triangulate import LONGEST, flat_areas, triangulate, triangulator
 from tests.generator.mesh.shapes import (
     angles,
     areas,
@@ -153,6 +153,24 @@ def test_a_panel_grows_the_buffers_and_a_small_one_is_filled_in_them_as_before()
     again, same = triangulate(small, 1.0)
     assert (again == seeds).all()
     assert (same == faces).all()
+
+
+def test_an_outline_whose_corners_lie_on_a_line_is_filled() -> None:
+    """Of a skirt with slits whose tips lie on a line but for rounding; such corners were left without a triangle."""
+    border = np.array(
+        [
+            (6.453446904533337, 43.70709385756989),  # on a line with the next corner and the fifth
+            (29.208660835774463, 43.30990012094459),
+            (40.497443607016415, 41.12104736),
+            (40.54185570420572, 42.116175305210646),
+            (40.58626780139503, 43.11130325263195),
+            (43.444193492629466, 101.43056171130208),
+            (2.5155341923941754, 38.45688064783383),
+        ]
+    )
+    seeds, faces = triangulate(border, 1.0)
+    area = shapely.Polygon(border).area
+    assert flat_areas(np.concatenate([border, seeds])[faces]).sum() == pytest.approx(area)
 
 
 def test_an_outline_through_its_own_corner_is_refused() -> None:
