@@ -223,7 +223,7 @@ class _SkinTopology:
             skin,
             np.asarray(skin.faces, np.int32).ravel(),
             _edges_without_lids(skin),
-            near_lid * np.uint8(LID),
+            np.where(near_lid, LID, 0).astype(np.uint8),
             np.unique(skin.faces),
             (left, right),
             hands,

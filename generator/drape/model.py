@@ -164,7 +164,7 @@ def empty_model(room: int, worlds: int, width: int, device: str, *, coupled: boo
     return ClothModel(
         device=device,
         worlds=make(worlds + 1, World),
-        parameters=np.zeros(worlds + 1, World.numpy_dtype()),
+        parameters=np.zeros(worlds + 1, World.numpy_dtype()),  # type: ignore[attr-defined]
         cloth=cloth,
         rows=empty_rows(room, width, device, coupled=coupled),
         springs=make(edges, wp.vec3),

@@ -62,9 +62,11 @@ def room_for(mesh: BoxMesh) -> int:
 
 def rooms_of(model: ClothModel) -> list[int]:
     """Vertices of the place that each garment of a model takes."""
-    spans = zip(model.vertices, model.edges, model.faces, strict=True)
     rooms = model.parameters["room"].tolist()
-    return [_room(*map(_count, own), room) for own, room in zip(spans, rooms, strict=True)]
+    return [
+        _room(_count(vertices), _count(edges), _count(faces), room)
+        for vertices, edges, faces, room in zip(model.vertices, model.edges, model.faces, rooms, strict=True)
+    ]
 
 
 def _room(vertices: int, edges: int, faces: int, room: int = 0) -> int:

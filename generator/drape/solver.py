@@ -138,7 +138,8 @@ class Solver:
 
     def counted(self, kernel: wp.Kernel, chosen: wp.array) -> wp.array:
         """(w) what one of ``CROSSING_COUNTS`` counts in the worlds marked in ``chosen`` (w), on the device."""
-        m, inputs = self.model, [self.model.cloth]
+        m = self.model
+        inputs: list[Any] = [m.cloth]
         dim: int | tuple[int, int] = m.n_edges
         if kernel is BODY_THROUGH:
             skins, most_edges = self._body_edges()
