@@ -209,7 +209,7 @@ URGENT = -1  # the priority of the default stream is 0, lower numbers come first
 
 
 class WorkStream:
-    """A stream and an urgent one, whose work runs beside that of others; their allocator defers the frees of arrays.
+    """A stream and an urgent stream. Their work runs beside that of other streams, and their arrays are freed late.
 
     Warp frees an array on CUDA's default stream. Warp's own streams wait for that stream and it for them, so the
     batches of two such streams would wait for each other whenever an array is freed. A ``WorkStream`` does not

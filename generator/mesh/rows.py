@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Int
 
-WHOLE = 63  # bits of a positive number
+WHOLE = 63  # bits of a positive 64-bit integer
 
 
 def distinct(rows: Int[np.ndarray, "*n"], size: int) -> Int[np.ndarray, " m"]:
