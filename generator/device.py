@@ -190,9 +190,8 @@ def load_kernels(task: str, *modules: ModuleType, device: str) -> None:
         missing = [module for module in modules if (module.__name__, device) not in _loaded]
         if missing and not kernels_cached(*missing, device=device):
             logger.warning("compiling the kernels of the %s for %s, once on this machine: half a minute", task, device)
-        for module in missing:
-            wp.load_module(module, device=device)
-            _loaded.add((module.__name__, device))
+        wp.force_load(device, [wp.get_module(module.__name__) for module in missing], max_workers=cores())
+        _loaded.update((module.__name__, device) for module in missing)
 
 
 def kernels_cached(*modules: ModuleType, device: str) -> bool:

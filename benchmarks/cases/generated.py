@@ -23,7 +23,7 @@ import torch
 from torch import nn
 
 from benchmarks.cases import CaseResult, Figure
-from benchmarks.cases.scale import gpu_idle, own_rate
+from benchmarks.cases.scale import gpu_load, own_rate
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.recipe import devices_of
 from gcd_dataset.loaders import FreshGarments, GarmentLoader, GeneratedGarments
@@ -62,10 +62,10 @@ def run(options: argparse.Namespace) -> CaseResult:
     )
     devices = devices_of(garments.config)
     on_gpu = devices[0] != "cpu"
-    with gpu_idle(garments.config.device) as idle:
+    with gpu_load(garments.config.device) as load:
         first, rate = _rate(garments, options)
     figures = [Figure("first_batch_s", first, "s"), Figure("per_second", rate, "garments")]
-    figures += [Figure("gpu_idle_alone", idle[0], "of the time, nothing is trained")] if idle else []
+    figures += [Figure("gpu_idle_alone", load.idle, "of the time, nothing is trained")] if load.watts else []
     if options.stage == "drape" and on_gpu:
         own = own_rate(garments.config, prepared=options.prepared, warm=options.warm, seconds=options.seconds)
         figures += [
@@ -114,16 +114,16 @@ def _trained(garments: GeneratedGarments, options: argparse.Namespace, rate: flo
     large, layers, seconds = _large(outputs, first, device, options.batch, least)
     weights = sum(weight.numel() for weight in large.parameters()) / 1e6
     _pass_warm(batches, options)
-    with gpu_idle(garments.config.device) as idle:
+    with gpu_load(garments.config.device) as load:
         figures = _waits("small", _PointNet(outputs), batches, device, options)
-    figures += [Figure("small_gpu_idle", idle[0], "of the time")] if idle else []
+    figures += [Figure("small_gpu_idle", load.idle, "of the time")] if load.watts else []
     figures += [
         Figure("large_layers", layers, f"of a transformer, {weights:.0f} million weights"),
         Figure("large_step_s", seconds, "s, with the batch in memory"),
     ]
-    with gpu_idle(garments.config.device) as idle:
+    with gpu_load(garments.config.device) as load:
         figures += _waits("large", large, batches, device, options)
-    return figures + ([Figure("large_gpu_idle", idle[0], "of the time")] if idle else [])
+    return figures + ([Figure("large_gpu_idle", load.idle, "of the time")] if load.watts else [])
 
 
 def _waits(

@@ -5,21 +5,22 @@
 Garments with pictures, as ``gcd generate --bodies both`` makes them, are written to a temporary folder.
 ``garments_per_s`` is timed from the first garment written, when kernels are loaded and all workers busy, to the last.
 ``own_per_s``: rate of the draping process alone with unlimited requests, without pictures; ``share``:
-``garments_per_s`` divided by it and by the number of GPUs; ``gpu_waits``: the share of time in which nvidia-smi sees no
-kernel; ``cpu_*``: CPU seconds per garment of each step, in this process, over ``--staged`` designs.
+``garments_per_s`` divided by it and by the number of GPUs; ``gpu_waits``: the share of the timed stretch in which
+nvidia-smi sees no kernel on the first GPU; ``joules``: mean power of that GPU in it over the garments it drapes a
+second; ``cpu_*``: CPU seconds per garment of each step, in this process, over ``--staged`` designs.
 """
 
 import argparse
 import json
+import re
 import resource
 import shutil
 import subprocess
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
@@ -63,10 +64,13 @@ def run(options: argparse.Namespace) -> CaseResult:
         bodies=options.bodies, resolution=options.resolution, device=options.device, picture=options.picture
     )
     devices = devices_of(config)
-    with gpu_idle(devices[0]) as idle:
-        rate, unsettled = _written(config, options)
+    rate, unsettled, load = _written(config, options)
     figures = [Figure("garments_per_s", rate, "garments"), Figure("unsettled", unsettled, "of the garments")]
-    figures += [Figure("gpu_waits", idle[0], "of the time")] if idle else []
+    if load.watts:
+        figures += [
+            Figure("gpu_waits", load.idle, "of the time"),
+            Figure("joules", load.watts * len(devices) / rate, "J a garment"),
+        ]
     if device_kind(config) == "cuda" and options.seconds:
         for name, pictured in (("own_per_s", False), ("own_pictured_per_s", True)):
             own = own_rate(config, prepared=options.prepared, warm=256, seconds=options.seconds, pictured=pictured)
@@ -79,20 +83,22 @@ def run(options: argparse.Namespace) -> CaseResult:
     )
 
 
-def _written(config: MakeConfig, options: argparse.Namespace) -> tuple[float, float]:
-    """Garments per second from the first to the last, and the share that did not settle."""
-    begun, unsettled = 0.0, 0
+def _written(config: MakeConfig, options: argparse.Namespace) -> "tuple[float, float, GpuLoad]":
+    """Garments per second from the first to the last, the share that did not settle, and the GPU's load meanwhile."""
+    begun, unsettled, load = 0.0, 0, GpuLoad()
     with (
         tempfile.TemporaryDirectory() as folder,
         ShardWriter(Path(folder), seed=options.seed, recipe=recipe_of(config)) as writer,
+        ExitStack() as measured,
     ):
         made = produce(options.seed, range(options.count), config, workers=options.workers, finished=encode_sample)
         for index, members in enumerate(made):
             writer.add(index, members)
-            begun = begun or time.perf_counter()
+            if not begun:
+                begun, load = time.perf_counter(), measured.enter_context(gpu_load(devices_of(config)[0]))
             unsettled += json.loads(members["meta.json"])["drape"]["outcome"] != Outcome.SETTLED.name
         seconds = time.perf_counter() - begun
-    return (options.count - 1) / seconds, unsettled / options.count
+    return (options.count - 1) / seconds, unsettled / options.count, load
 
 
 def _steps(config: MakeConfig, options: argparse.Namespace) -> list[Figure]:
@@ -172,29 +178,31 @@ def _on_new_body(ready: PreparedJob, number: int, picture: int) -> DrapeRequest:
     return DrapeRequest(number, job, picture, prepared=replace(ready, job=job, field=field))
 
 
+@dataclass
+class GpuLoad:
+    """Load of a GPU over a stretch of time; zeros where there is none."""
+
+    idle: float = 0.0
+    """Share of time in which nvidia-smi sees no kernel of any process."""
+    watts: float = 0.0
+    """Mean power [W]."""
+
+
 @contextmanager
-def gpu_idle(device: str) -> Iterator[list[float]]:
-    """Context manager: a list that afterwards holds the GPU's share of idle time; empty without a GPU."""
-    idle: list[float] = []
+def gpu_load(device: str) -> Iterator[GpuLoad]:
+    """Context manager: what nvidia-smi reports of a GPU until it closes, known from then on."""
+    load = GpuLoad()
     if device == "cpu" or shutil.which("nvidia-smi") is None:
-        yield idle
+        yield load
         return
     number = device.partition(":")[2] or "0"
-    command = ["nvidia-smi", "-i", number, "--query-gpu=utilization.gpu", "--format=csv,noheader,nounits"]
+    command = ["nvidia-smi", "-i", number, "--query-gpu=utilization.gpu,power.draw", "--format=csv,noheader,nounits"]
     smi = subprocess.Popen([*command, "-lms", str(SAMPLE_EVERY)], stdout=subprocess.PIPE, text=True)
-    percent: list[float] = []
-
-    def listen() -> None:
-        assert smi.stdout is not None
-        percent.extend(float(line) for line in smi.stdout if line.strip().isdigit())
-
-    thread = threading.Thread(target=listen)
-    thread.start()
     try:
-        yield idle
+        yield load
     finally:
         smi.terminate()
-        thread.join()
-        smi.wait()
-        if percent:
-            idle.append(1 - float(np.mean(percent)) / 100)
+        samples = re.findall(r"^(\d+), ([\d.]+)\n", smi.communicate()[0], re.MULTILINE)
+        if samples:
+            busy, load.watts = np.mean(np.array(samples, float), axis=0).tolist()
+            load.idle = 1 - busy / 100
