@@ -26,6 +26,9 @@ ASIDE = 5.0  # cm to either side of the middle: cloth that lies further out on b
 BURIED = 0.2  # share of the cloth below the floor
 TOP = 0.9  # quantile of the heights: cloth above it carries a garment without a labelled edge
 COLLAR_SLACK = 2.0  # cm by which the collar may be narrower than the neck
+UNDER_ARMPIT = (
+    2.5  # cm below the armpit to which a strapless top may sink: above it no cloth fits between arm and trunk
+)
 
 
 @dataclass(frozen=True)
@@ -80,10 +83,11 @@ def holds(job: DrapeJob) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, " 
 
 def _half_spaces(size: Measurements) -> dict[EdgeRole, tuple[tuple[float, float, float], float]]:
     collar = -(size.neck_w - COLLAR_SLACK) / 2
+    armpit = size.height - size.head_l - size.armscye_depth
     return {
         EdgeRole.RIGHT_COLLAR: ((1.0, 0.0, 0.0), collar),
         EdgeRole.LEFT_COLLAR: ((-1.0, 0.0, 0.0), collar),
-        EdgeRole.STRAPLESS_TOP: ((0.0, 1.0, 0.0), size.height - size.head_l - size.armscye_depth),
+        EdgeRole.STRAPLESS_TOP: ((0.0, 1.0, 0.0), armpit - UNDER_ARMPIT),
         EdgeRole.LOWER_INTERFACE: ((0.0, 1.0, 0.0), size.waist_level),
     }
 
