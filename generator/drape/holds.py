@@ -1,8 +1,8 @@
 """Constraints between a garment and its body: holds, keepers and collision filters; and whether a garment came off.
 
 Holds are half-spaces, as in Korosteleva et al. (ECCV 2024): the waist of a bottom may not sink below the body's waist,
-a strapless top not below the armpits, and both halves of a neckline stay near the neck. In contrast to their drape, a
-garment that hangs from the shoulders has no hold at the waist: there a long bodice would fold and cross itself.
+a strapless top not far below the armpits, and both halves of a neckline stay near the neck. In contrast to their drape,
+a garment that hangs from the shoulders has no hold at the waist: there a long bodice would fold and cross itself.
 """
 
 from dataclasses import dataclass
@@ -26,9 +26,7 @@ ASIDE = 5.0  # cm to either side of the middle: cloth that lies further out on b
 BURIED = 0.2  # share of the cloth below the floor
 TOP = 0.9  # quantile of the heights: cloth above it carries a garment without a labelled edge
 COLLAR_SLACK = 2.0  # cm by which the collar may be narrower than the neck
-UNDER_ARMPIT = (
-    2.5  # cm below the armpit to which a strapless top may sink: above it no cloth fits between arm and trunk
-)
+UNDER_ARMPIT = 2.5  # cm to which a strapless top may sink: at the armpit no cloth fits between arm and trunk
 
 
 @dataclass(frozen=True)

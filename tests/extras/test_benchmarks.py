@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from benchmarks.cloth_tests import drape_coefficient
+from benchmarks.draping.workload import is_clean, reference_sampled
 from benchmarks.reconstruction import garments, train
 from benchmarks.reconstruction.derived import picture_views
 from benchmarks.reconstruction.garments import GarmentSet, fresh_garments, generated
@@ -22,7 +23,9 @@ from benchmarks.reconstruction.picture_training import load, pool_of
 from benchmarks.reconstruction.picture_training import train as train_on_pictures
 from benchmarks.reconstruction.plan import read_plan
 from benchmarks.reconstruction.train import UNFINISHED, main
-from gcd_dataset.generator.drape import FABRICS
+from gcd_dataset.generator.body import named_body
+from gcd_dataset.generator.drape import FABRICS, drape_batch
+from gcd_dataset.records import Body, EdgeRole, Measurements
 from tests.benchmarks.reconstruction.conftest import SKIRTS
 from tests.benchmarks.reconstruction.test_evaluate import save
 from tests.benchmarks.reconstruction.test_leaderboard import PLANS
@@ -128,3 +131,19 @@ def test_a_reader_of_the_evaluator_exits_early(tmp_path: Path) -> None:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()
         assert "Traceback" not in process.stderr.read()
+
+
+def test_a_strapless_top_enters_neither_arm_nor_trunk(examples: Path) -> None:
+    """Arm and trunk of the published body part 4 cm below the armpit: cloth held at the armpit lay within them."""
+    wearers = (published_body(examples, name) for name in ("mean_all", "mean_all_apart"))
+    worn = reference_sampled(0, 3, *wearers, resolution=1.0)[2]
+    assert EdgeRole.STRAPLESS_TOP in worn.job.box_mesh.labels
+    [drape] = drape_batch([worn.job], device="cpu")
+    assert is_clean(drape)
+
+
+def published_body(examples: Path, name: str) -> tuple[Body, Measurements]:
+    folder = examples / "bodies"
+    parts = folder / "ggg_body_segmentation.json"
+    body, size, *_ = named_body(str(folder / f"{name}.obj"), measurements=folder / "mean_all.yaml", segmentation=parts)
+    return body, size
