@@ -84,6 +84,8 @@ def hair_shell(scene: Scene) -> Shell:
     body, style = scene.body, scene.hair
     plan = _model_hair(style) if len(body.parts) == len(_model_body().parts) else _hair_plan(body, style)
     points = body.vertices[plan.rows]
+    if not len(points):
+        return Shell(points, plan.faces)
     rise = np.minimum(plan.rise, _room_under_cloth(points, plan.faces, scene, HAIR_DEPTH[style]))
     return Shell(points + rise[:, None] * vertex_normals(points, plan.faces), plan.faces)
 
@@ -152,8 +154,6 @@ def _room_under_cloth(
     points: Float[np.ndarray, "h 3"], faces: Int[np.ndarray, "g 3"], scene: Scene, depth: float
 ) -> Float[np.ndarray, " h"]:
     """Greatest rise of each point of the scalp below the cloth [cm]; no more than that of its neighbours."""
-    if not len(points):
-        return np.zeros(0)
     reach = depth + UNDER_CLOTH
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
     above = scene.vertices[:, 1] > low[1]  # few faces are, so that the others need no further test
