@@ -75,6 +75,7 @@ def pack_views(views: Sequence[View], scenes: Sequence[Scene], rows: dict[int, i
     cloths: dict[int, tuple[int, ClothLook]] = {}
     panels: list[np.ndarray] = []
     known: dict[int, int] = {}
+    _pack_plain(shots, views)
     for view, shot, around in zip(views, shots, glow, strict=True):
         look, scene = view.appearance, scenes[view.scene]
         if id(look) not in known:
@@ -83,7 +84,6 @@ def pack_views(views: Sequence[View], scenes: Sequence[Scene], rows: dict[int, i
             panels.append(np.array(at, int)[_cloth_rows(look, scene)])
         elif len(look.cloth_of_panel) != len(scene.panel_names):
             _cloth_rows(look, scene)
-        _pack_plain(shot, view)
         if isinstance(view, PlainView):
             shot["plain"] = 1
         else:
@@ -120,15 +120,16 @@ def _cloth_rows(look: Appearance, scene: Scene) -> Int[np.ndarray, " p"]:
     return np.asarray(look.cloth_of_panel)
 
 
-def _pack_plain(shot: np.void, view: View) -> None:
-    """What all pictures and maps need: camera, direction of the key light, wall and underwear."""
-    camera, underwear = view.camera, view.appearance.underwear
-    shot["right"], shot["down"], shot["forward"] = camera.rotation
-    shot["eye"], shot["focal"], shot["shift"] = camera.eye, camera.focal, camera.shift
-    shot["key_direction"] = view.lights.key_direction
-    shot["wall"] = linear_light(np.array(view.environment.colours[0]))
-    if underwear is not None:
-        shot["underwear"], shot["top"] = linear_light(np.array(underwear.colour)), int(underwear.top)
+def _pack_plain(shots: np.ndarray, views: Sequence[View]) -> None:
+    """What all pictures and maps need: cameras, directions of the key lights, walls and underwear."""
+    cameras, underwear = [view.camera for view in views], [view.appearance.underwear for view in views]
+    shots["right"], shots["down"], shots["forward"] = np.stack([camera.rotation for camera in cameras], axis=1)
+    for name in ("eye", "focal", "shift"):
+        shots[name] = [getattr(camera, name) for camera in cameras]
+    shots["key_direction"] = [view.lights.key_direction for view in views]
+    shots["wall"] = linear_light(np.array([view.environment.colours[0] for view in views]))
+    shots["underwear"] = linear_light(np.array([worn.colour if worn else (0.0, 0.0, 0.0) for worn in underwear]))
+    shots["top"] = [worn is not None and worn.top for worn in underwear]
 
 
 def _pack_drawn(shot: np.void, view: View, texels: _Texels) -> None:
