@@ -13,7 +13,16 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic, curve_points, curve_tangents, from_frame
 from gcd_dataset.errors import shown
-from gcd_dataset.generator.lay_plan import INK, RGB, LayPlan, SheetPanel, cloth_colour, lay_out, lay_out_nest, seam_colour
+from gcd_dataset.generator.lay_plan import (
+    INK,
+    RGB,
+    LayPlan,
+    SheetPanel,
+    cloth_colour,
+    lay_out,
+    lay_out_nest,
+    seam_colour,
+)
 from gcd_dataset.records import Pattern
 
 __all__ = ["nest_svg", "pattern_svg"]

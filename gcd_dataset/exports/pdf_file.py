@@ -511,7 +511,7 @@ def _draw_legend(canvas: Any, sheet: _PaperSheet, left: float, top: float) -> No
     column = LEGEND[0] / len(sheet.sizes)
     for number, size in enumerate(sheet.sizes):
         _ink(canvas, seam_colour(number))
-        _text(canvas, size, number * column, -2.25, SMALL, font=BOLD, centred=False, room=0.9 * column)
+        _text(canvas, size, number * column, -12.85, SMALL, font=BOLD, centred=False, room=0.9 * column)
     _ink(canvas, BLACK)
     canvas.setLineWidth(FRAME_WIDTH)
     canvas.rect(0, -2.4 - TEST_SQUARE, TEST_SQUARE, TEST_SQUARE)

@@ -1,4 +1,4 @@
-"""Size charts: the sizes in which a garment is cut, from the smallest to the largest, each with the measures of its body.
+"""Size charts: the sizes in which a garment is cut, from the smallest up, each with the measures of its body.
 
 A chart is a TOML file. A size has an interval for each measure that decides it [cm], and all measures of its body, with
 the names and units of a measurement file::
@@ -77,7 +77,9 @@ class SizeChart:
         above = len(sizes) - 1 - below
         if not -below <= steps <= above:
             ends = f"ends at {shown(sizes[-1 if steps > 0 else 0])}"
-            raise ConfigError(f"{self.source}: size {shown(size)} {steps:+d}: the chart {ends}: give {-below} to {above}")
+            raise ConfigError(
+                f"{self.source}: size {shown(size)} {steps:+d}: the chart {ends}: give {-below} to {above}"
+            )
         return sizes[below + steps]
 
 

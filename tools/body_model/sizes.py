@@ -38,14 +38,17 @@ def main() -> None:
 def chart_text(people: np.ndarray) -> str:
     """The chart as TOML. ``people``: a row for each person, a column for each measure [cm, degrees]."""
     deciding = people[:, [MEASURES.index(name) for name in DECIDING]]
-    bust = STEP * round(deciding[:, 0].mean() / STEP)
-    middle = np.array([bust, *(round(np.polyval(np.polyfit(deciding[:, 0], other, 1), bust)) for other in deciding.T[1:])])
+    bust = STEP * round(float(deciding[:, 0].mean()) / STEP)
+    at_bust = np.polyval(np.polyfit(deciding[:, 0], deciding, 1), bust)
+    middle = np.rint(at_bust).astype(int)
     design = np.column_stack([np.ones(len(people)), deciding])
     slopes = np.linalg.lstsq(design, people, rcond=None)[0]
     lines = ["# Made by tools/body_model/sizes.py [cm, degrees]."]
     for step in SIZES:
         girths = middle + STEP * step
-        fits = (f"{name} = [{girth - STEP // 2}, {girth + STEP // 2}]" for name, girth in zip(DECIDING, girths, strict=True))
+        fits = (
+            f"{name} = [{girth - STEP // 2}, {girth + STEP // 2}]" for name, girth in zip(DECIDING, girths, strict=True)
+        )
         body = dict(zip(MEASURES, np.array([1, *girths]) @ slopes, strict=True))
         lines += ["", f"[sizes.{girths[0]}]", f"fits = {{ {', '.join(fits)} }}", f"[sizes.{girths[0]}.body]"]
         lines += [f"{name} = {value:.1f}" for name, value in body.items()]
