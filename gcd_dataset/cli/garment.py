@@ -168,8 +168,9 @@ def _grade(options: argparse.Namespace) -> int:
     chart = read_chart(options.chart)
     found = grade(design_in(options.design), chart, name=garment_name(options.design))
     graded = {size: pattern for size, pattern in found.items() if isinstance(pattern, Pattern)}
-    for size in (size for size in found if size not in graded):
-        print(f"gcd grade: {options.design}: size {shown(size)}: {found[size]}", file=sys.stderr)
+    for size, reject in found.items():
+        if size not in graded:
+            print(f"gcd grade: {options.design}: size {shown(size)}: {reject}", file=sys.stderr)
     if not graded:
         raise PatternError(f"{options.design}: rejected in all sizes of {chart.source}: change the design")
     write_graded(graded, options.out, seam_allowance=options.seam_allowance, paper=options.paper)

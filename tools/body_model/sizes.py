@@ -2,7 +2,7 @@
 
     python -m tools.body_model.sizes generator/data
 
-Takes five minutes of one core. Sizes are 4 cm apart in bust, waist and hips, about the mean of the adults in whole
+Takes three minutes of one core. Sizes are 4 cm apart in bust, waist and hips, about the mean of the adults in whole
 centimetres: waist and hips are those of the adults with the bust of the middle size. The other measures are their
 linear regression on bust, waist and hips.
 """
