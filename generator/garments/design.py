@@ -142,6 +142,11 @@ def read_design(path: Path | str) -> GarmentDesign:
     content = read_toml(path) if is_toml else read_yaml(path, "design file", error=ConfigError)  # reads JSON too
     sections = {entry.key for entry in DesignSpace.declared(GarmentDesign).entries}
     if not isinstance(content, Mapping) or content.keys().isdisjoint({"design", *sections}):
+        if isinstance(content, Mapping) and "pattern" in content:
+            raise ConfigError(
+                f"{path}: a specification without its design: its panels fit one body and cannot be drawn for another: "
+                "give the design_params.yaml that it was drawn from"
+            )
         names = short(list(islice(content, 3)) if isinstance(content, Mapping) else content)
         raise ConfigError(f"{path}: holds {names}, no design: give GarmentCode's design_params.yaml, or ours")
     try:
