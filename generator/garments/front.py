@@ -64,7 +64,10 @@ def sewn_fronts(whole: Component, right: Interface, left: Interface, design: Fro
     """The halves joined along their centre fronts, from the neckline down, and along the edges of their collars."""
     if design.closure is Closure.SEWN:
         return whole.sewn(right, left)
-    over, under = (left, right) if design.over is Over.LEFT else (right, left)
+    if design.closure is Closure.OPEN:
+        return whole.sewn(right, left, closure=Closure.OPEN)
+    is_left_over = design.closure is Closure.BUTTONS and design.over is Over.LEFT
+    over, under = (left, right) if is_left_over else (right, left)
     closed = (design.open_top, 1.0 - design.open_hem)
     whole = whole.sewn(over[:1], under[:1], closure=design.closure, closed=closed)
     collar = Closure.OPEN if design.open_top else design.closure

@@ -13,7 +13,6 @@ from gcd_dataset.generator.pattern.stroke import Stroke
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import panel_order
 
-
 DIGITS = 12  # decimals of the joined share of a seam: 1 - 0.7 becomes 0.3
 
 
