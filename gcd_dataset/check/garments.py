@@ -361,8 +361,8 @@ def sewing_faults(
     """The faults of the seams of one garment."""
     if all(len(arrays.get(name, ())) for name in ("faces", "stitches")) and "seams" in arrays:
         seams, stitches = arrays["seams"].astype(np.int64), len(arrays["stitches"])
-        plain = range(stitches) if pattern is None else [row for row, s in enumerate(pattern.seams) if s.is_plain]
-        if not np.isin(plain, seams[:, 1]).all():
+        whole = [row for row in range(stitches) if pattern is None or pattern.seams[row].joined == (0.0, 1.0)]
+        if not np.isin(whole, seams[:, 1]).all():
             yield checks.OPEN_SEAMS, "seams without vertices in the mesh"
         on_seam = np.bincount(seams[:, 1], minlength=stitches)
         border = open_edges(arrays["faces"].astype(np.int64), seams, stitches)

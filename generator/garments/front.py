@@ -27,7 +27,7 @@ class Over(Enum):
 
 @dataclass(frozen=True)
 class FrontDesign(Design):
-    """The centre front of a shirt; only overlays and design files that name a closure draw another than ``SEWN``."""
+    """The centre front of a shirt; sampling leaves it sewn unless an overlay names a closure."""
 
     closure: Closure = choice(Closure.SEWN, *Closure, weights=(1, 0, 0, 0))
     open_top: float = real(0.0, 0.0, 0.5, keep=0.6)
@@ -94,6 +94,5 @@ def front_details(design: FrontDesign) -> tuple[Detail, ...]:
     if design.closure is Closure.SEWN:
         return ()
     found = (Detail(Zone.BODY, WORDS[design.closure], main=True),)
-    is_open = design.closure is Closure.OPEN
-    words = OPEN_AT[not is_open and design.open_top > 0.0, not is_open and design.open_hem > 0.0]
+    words = NO_WORDS if design.closure is Closure.OPEN else OPEN_AT[design.open_top > 0.0, design.open_hem > 0.0]
     return (*found, Detail(Zone.BODY, words)) if words else found

@@ -220,11 +220,8 @@ def _sewn_halves(
     drawn = partial(right_half, size, fitted=fitted, mends=mends, extension=front.extension)
     right = drawn(*right_design)
     other = right if left_design is None else drawn(*left_design)
-    if (
-        front.closure is Closure.OPEN
-        and fitted
-        and any(half and half[0].strapless for half in (right_design, left_design))
-    ):
+    is_strapless = fitted and any(half is not None and half[0].strapless for half in (right_design, left_design))
+    if front.closure is Closure.OPEN and is_strapless:
         raise PatternError(
             "a strapless top with an open front falls off: set front.closure to zip, or shirt.strapless to false"
         )
