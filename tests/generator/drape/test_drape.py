@@ -478,6 +478,17 @@ def test_an_overgarment_settles_without_crossings_and_covers_both_shoulders(uppe
         assert worn.drape.vertices[:, 0].min() < arm[:, 0].mean() < worn.drape.vertices[:, 0].max()
 
 
+@pytest.mark.parametrize("sleeveless", [True, False], ids=["vest", "cardigan"])
+def test_an_open_front_settles_on_both_shoulders_without_crossings(sleeveless: bool) -> None:
+    sleeve = {"sleeveless": sleeveless, "length": 0.8}
+    worn = wear(design_from_dict({"meta": {"upper": "Shirt"}, "front": {"closure": "open"}, "sleeve": sleeve}))
+    assert worn.drape.outcome is Outcome.SETTLED
+    assert (worn.drape.self_crossings, worn.drape.body_crossings, worn.drape.body_through) == (0, 0, 0)
+    right, left = (worn.vertices_of(f"{side}_ftorso") for side in ("right", "left"))
+    assert not set(right) & set(left)
+    assert worn.drape.vertices[right, 0].mean() < -5.0 < 5.0 < worn.drape.vertices[left, 0].mean()
+
+
 HOOD = MakeConfig(
     bodies="pooled",
     stage="mesh",
