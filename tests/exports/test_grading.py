@@ -142,6 +142,14 @@ def test_a_pdf_holds_cut_and_sew_lines_of_every_size(shirt: dict[str, Pattern], 
     assert f"{len(shirt['76'].panels)} pieces on" in text
 
 
+def test_names_of_sizes_that_no_font_has_are_plain_in_a_pdf(tmp_path: Path) -> None:
+    names = ["كبير", "M", "大", "x" * 500]
+    pdf(dict.fromkeys(names, squares()), tmp_path / "a.pdf")
+    text = "\n".join(page.extract_text() for page in PdfReader(tmp_path / "a.pdf").pages)
+    assert {"size_1", "M", "大"} <= set(text.split())
+    assert "■" not in text and max(map(len, text.split())) <= 60
+
+
 def test_a_nest_has_a_size(tmp_path: Path) -> None:
     for write, name in ((dxf, "a.dxf"), (pdf, "a.pdf")):
         with pytest.raises(ConfigError, match="a graded garment without sizes: give the pattern of one size"):
