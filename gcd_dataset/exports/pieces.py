@@ -206,7 +206,7 @@ def _darts(panel: Panel, pattern: Pattern, edges: list[Float[np.ndarray, "n 2"]]
     """The darts of a panel: consecutive edges sewn together, with no cloth of the panel between them."""
     count, outline = len(edges), shapely.Polygon(np.concatenate([points[:-1] for points in edges]))
     for seam in pattern.seams:
-        if not seam.left.panel == seam.right.panel == panel.name:
+        if not seam.left.panel == seam.right.panel == panel.name or not seam.is_plain:
             continue
         pair = (seam.left.edge, seam.right.edge)
         enter = next((i for i in pair if (i + 1) % count in pair), None)

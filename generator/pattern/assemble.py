@@ -157,7 +157,8 @@ def _closed_parts(
         bounds = [0.0, *divisions[walked.panel, walked.stroke], 1.0]
         lengths.append(walked.length * (bounds[part + 1] - bounds[part]))
     ends = np.cumsum(lengths)
-    first, last = (np.clip((share * ends[-1] - ends + lengths) / lengths, 0.0, 1.0).tolist() for share in closed)
+    shares = (np.clip((share * ends[-1] - ends + lengths) / lengths, 0.0, 1.0) for share in closed)
+    first, last = (np.round(share, DIGITS).tolist() for share in shares)
     return list(zip(first, last, strict=True))
 
 
