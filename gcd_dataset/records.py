@@ -30,6 +30,8 @@ __all__ = [
     "Edge",
     "EdgeRef",
     "EdgeRole",
+    "Fit",
+    "FitLabel",
     "Grade",
     "Measurements",
     "NamedFabric",
@@ -404,6 +406,11 @@ class Outcome(Enum):
     OVERFULL = "more contacts than there was room for: raise the contact capacity"
     REFUSED = "not draped: its file cannot be read, or its pattern or mesh cannot be draped"
     DIVERGED = "positions stopped being numbers: the mesh holds a degenerate triangle, or the time step is too long"
+    CANNOT_BE_PUT_ON = "not draped: a ring is too narrow for what it passes or closes round: choose a larger size"
+
+
+MISFITS = frozenset({Outcome.SLID_OFF, Outcome.OVERSTRETCHED, Outcome.CANNOT_BE_PUT_ON})
+"""Outcomes that describe the fit of a garment with a ``Fit``: no failed drapes, no reasons to draw another design."""
 
 
 class Grade(Enum):
@@ -504,6 +511,41 @@ class NamedFabric:
 
 
 @dataclass(frozen=True)
+class FitLabel:
+    """A rule that a garment breaks on its wearer."""
+
+    rule: str
+    """Such as ``too_tight``."""
+    reason: str
+    """The fault, in words."""
+    figures: Mapping[str, float] = field(default_factory=dict)
+    """Measured quantities of garment and wearer; each name ends in its unit: ``ring_cm``, ``body_cm``."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The size for which a garment is cut, beside its wearer's."""
+
+    chart: str
+    """Name of the size chart."""
+    cut_for: str
+    wearer_size: str
+    """Empty for a wearer outside the chart."""
+    step: int
+    """``cut_for`` less ``wearer_size``, in sizes; 0 for a wearer outside the chart."""
+    labels: tuple[FitLabel, ...] = ()
+
+    @property
+    def obstacle(self) -> FitLabel | None:
+        """The label ``cannot_be_put_on``; ``None`` for a garment that can be put on."""
+        return next((label for label in self.labels if label.rule == CANNOT_BE_PUT_ON), None)
+
+
+CANNOT_BE_PUT_ON = Outcome.CANNOT_BE_PUT_ON.name.lower()
+"""The rule of the labels with this outcome."""
+
+
+@dataclass(frozen=True)
 class StoredView:
     """A picture of a garment, with its camera, light and materials."""
 
@@ -546,6 +588,8 @@ class Sample(Record):
     """The garment in English, see ``gcd_dataset.captions``; either all samples of a data set have one, or none."""
     views: tuple[StoredView, ...] = ()
     """Further pictures; the same number for every sample of a data set."""
+    fit: Fit | None = None
+    """``None`` for a garment cut for its wearer."""
 
     def _repr_html_(self) -> str:
         from gcd_dataset.viewer.notebook import sample_html

@@ -28,6 +28,7 @@ class Stage(IntEnum):
     CAPTION = 12
     SCAN = 13
     SKETCH = 14
+    MISFIT = 15
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:

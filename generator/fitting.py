@@ -5,8 +5,8 @@ import logging
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import count
+from dataclasses import asdict, dataclass, replace
+from itertools import count, repeat
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from gcd_dataset import __version__
 from gcd_dataset.bodyfiles import write_measurements
-from gcd_dataset.errors import DrapeError, MeshError, PatternError, SpecError
+from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError, SpecError
 from gcd_dataset.faults import Severity, require_valid
 from gcd_dataset.files import make_folder, safe_name, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
@@ -23,11 +23,13 @@ from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.dressing import Dressing, dress, has_legs
-from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, Reject, check_design
+from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, Reject, check_design, read_design
 from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.generator.pipeline import build_pattern
 from gcd_dataset.generator.render import render_garment
+from gcd_dataset.generator.sized import Cut, lifted
 from gcd_dataset.generator.svg import nest_svg, pattern_svg
-from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Outcome, Pattern
+from gcd_dataset.records import Body, BoxMesh, Drape, Fit, Measurements, Outcome, Pattern
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
 
@@ -77,11 +79,12 @@ class Refusal:
     name: str
     reason: str
     assumed: tuple[str, ...] = ()
+    outcome: Outcome = Outcome.REFUSED
 
     @property
     def row(self) -> dict[str, Any]:
         """The entry of a report."""
-        return {"pattern": self.name, "outcome": Outcome.REFUSED.name, "reason": self.reason}
+        return {"pattern": self.name, "outcome": self.outcome.name, "reason": self.reason}
 
 
 def read_patterns(paths: Sequence[Path | str]) -> Iterator[Pattern | Refusal]:
@@ -94,6 +97,27 @@ def read_patterns(paths: Sequence[Path | str]) -> Iterator[Pattern | Refusal]:
             yield replace(require_valid(read_pattern(path), source=str(path)), name=name)
         except (SpecError, PatternError) as error:
             yield Refusal(name, str(error))
+
+
+def cut_patterns(
+    paths: Sequence[Path | str], cut: Cut, wearer: Measurements
+) -> Iterator[tuple[Pattern | Refusal, Fit | None]]:
+    """The patterns of designs in files, drawn for a size, at the wearer's height, and how they fit; in order.
+
+    A file without a design, or a design that cannot be cut in this size or put on by the wearer, is a ``Refusal``.
+    """
+    for path, name in zip(paths, _distinct([garment_name(Path(path)) for path in paths]), strict=True):
+        try:
+            design = read_design(path)
+            pattern = build_pattern(cut.measures, design, name=name)
+        except (SpecError, ConfigError, PatternError) as error:
+            yield Refusal(name, str(error)), None
+            continue
+        fit = cut.fit(pattern, design, wearer)
+        if fit.obstacle:
+            yield Refusal(name, fit.obstacle.reason, outcome=Outcome.CANNOT_BE_PUT_ON), fit
+        else:
+            yield lifted(pattern, design, cut_for=cut.measures, wearer=wearer), fit
 
 
 def _distinct(names: Sequence[str]) -> Iterator[str]:
@@ -239,8 +263,12 @@ def write_report(
     fabric: str,
     resolution: float,
     device: str,
+    fits: Iterable[Fit | None] = repeat(None),
 ) -> None:
-    """Write a JSON report: the settings, and the result of each file. Raises ``OutputError``."""
+    """Write a JSON report: the settings, and the result of each file. Raises ``OutputError``.
+
+    ``fits``: of the files in order, for garments cut for a size.
+    """
     report = {
         "gcd_dataset": __version__,
         "numpy": np.__version__,
@@ -249,6 +277,14 @@ def write_report(
         "body": body,
         "fabric": fabric,
         "resolution_cm": resolution,
-        "garments": [{"file": str(file), **fitting.row, "assumed": list(fitting.assumed)} for file, fitting in done],
+        "garments": [
+            {
+                "file": str(file),
+                **fitting.row,
+                "assumed": list(fitting.assumed),
+                **({"fit": asdict(fit)} if fit else {}),
+            }
+            for (file, fitting), fit in zip(done, fits, strict=False)
+        ],
     }
     write_whole(path, (json.dumps(report, indent=2) + "\n").encode())

@@ -20,6 +20,7 @@ from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.pipeline import (
     NO_REDRAWS,
     DressedDesign,
+    all_replies,
     drape_jobs,
     finish,
     prepare,
@@ -189,11 +190,12 @@ class _Pending(Generic[Made]):
 
     def _finish(self, index: int, design: DressedDesign, replies: Sequence[DrapeReply]) -> int | DrapeWork[int]:
         """Finish the requested samples of a design; if a drape failed, return the next attempt instead."""
+        replies = all_replies(design, replies, self.config)
         failed = rejection(design, [reply.drape for reply in replies], self.config)
         if failed is not None:
             return self._attempt(index, (*design.rejects, failed), design.redraws)
         self.under_way.remove(design.number)
-        sample_of = partial(_sample_of, design, tuple(replies), self.config)
+        sample_of = partial(_sample_of, design, replies, self.config)
         for wearer in design.dressed:
             if wearer.index not in self.count:
                 self.last.keep(design.number, sample_of)

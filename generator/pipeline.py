@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.errors import BodyError, MeshError, PatternError, shown
+from gcd_dataset.errors import BodyError, ConfigError, MeshError, PatternError, shown
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.body.sizes import SizeChart
@@ -25,12 +25,16 @@ from gcd_dataset.generator.garments import GarmentDesign, Reject, attempted_desi
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.quality import grade_of, sample_surface, strain_of
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
+from gcd_dataset.generator.sized import Cut, draw_cut, lifted, size_or_none, undraped
 from gcd_dataset.generator.views import MISSING_VIEW, ViewRequest, picture_seed, stored_body
 from gcd_dataset.records import (
+    MISFITS,
     Body,
     BodyShape,
     BoxMesh,
     Drape,
+    Fit,
+    FitLabel,
     Measurements,
     NamedFabric,
     Outcome,
@@ -47,6 +51,7 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.drapers import DrapeReply
 
 NO_REDRAWS: Mapping[str, int] = MappingProxyType({})
+MOST_BODIES = 1000  # bodies drawn for one with a size in the chart; 97 in 100 have one in those of this package
 BODIES = 32  # bodies kept, 0.8 MB each: a design is dressed again after a rejected drape, for the same wearers
 
 
@@ -112,6 +117,14 @@ class DressedWearer:
     coarse: CoarseMesh | None
     start: Float[np.ndarray, "v 3"] | None
     """Start positions of the drape, as ``DrapeJob.start`` [cm]."""
+    cut_for: Measurements
+    """The measures for which the pattern is drawn: its own, or those of a size."""
+    fit: Fit | None
+
+    @property
+    def obstacle(self) -> FitLabel | None:
+        """Why the garment cannot be put on, and is not draped; ``None`` if it can."""
+        return self.fit.obstacle if self.fit else None
 
 
 @dataclass(frozen=True)
@@ -144,7 +157,7 @@ def prepare(
     ``config.max_attempts`` designs were rejected.
     """
     wearers = _wearers(seed, number, config)
-    sizes, counts = [wearer.size for wearer in wearers], Counter(redraws)
+    sizes, counts = [wearer.cut_for for wearer in wearers], Counter(redraws)
     while len(rejects) < config.max_attempts:
         drawn, dressed = attempted_design(seed, number, len(rejects), sizes, config.design), []
         counts += drawn.by_rule()
@@ -169,22 +182,48 @@ class _Wearer:
     shape: BodyShape
     body: Body
     size: Measurements
+    cut: Cut | None = None
+    """The size for which the garment is cut; ``None``: for the wearer."""
+
+    @property
+    def cut_for(self) -> Measurements:
+        """The measures for which the garment is drawn."""
+        return self.cut.measures if self.cut else self.size
 
 
 def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
-    """The bodies of a design, in the order of their indices."""
+    """The bodies of a design, in the order of their indices.
+
+    Raises ``ConfigError`` if the neutral body, or each of ``MOST_BODIES``, has no size in ``config.sizes``.
+    """
     shapes = {}
-    group = "random" if config.bodies == "both" else config.bodies
     if config.bodies in ("neutral", "both"):
         shapes["neutral"] = neutral_shape()
     for drawn in range(config.bodies_each if config.bodies != "neutral" else 0):
-        kind, shape = draw_from(group, rng(seed, number, Stage.BODY, drawn))
-        shapes[f"{kind}:{seed}:{number}" + (f":{drawn}" if drawn else "")] = shape
+        name, shape = _drawn_body(seed, number, drawn, config)
+        shapes[name] = shape
     wearers = []
     for offset, (name, shape) in enumerate(shapes.items()):
         body, size = _measured_neutral() if name == "neutral" else _measured(*_numbers(shape))
-        wearers.append(_Wearer(number * config.wearers + offset, name, shape, body, size))
+        index = number * config.wearers + offset
+        cut = None
+        if config.chart is not None:
+            own = size_or_none(config.chart, size)
+            if not own:
+                raise ConfigError(f"the neutral body has no size in {config.sizes}: choose other bodies, or add a size")
+            cut = draw_cut(config.chart, own, config.steps, rng(seed, index, Stage.MISFIT))
+        wearers.append(_Wearer(index, name, shape, body, size, cut))
     return tuple(wearers)
+
+
+def _drawn_body(seed: int, number: int, drawn: int, config: MakeConfig) -> tuple[str, BodyShape]:
+    """Name and shape of body ``drawn`` of a design: the first with a size in the chart, if there is one."""
+    group = "random" if config.bodies == "both" else config.bodies
+    for place in range(drawn, drawn + MOST_BODIES * config.bodies_each, config.bodies_each):
+        kind, shape = draw_from(group, rng(seed, number, Stage.BODY, place))
+        if config.chart is None or size_or_none(config.chart, _measured(*_numbers(shape))[1]):
+            return f"{kind}:{seed}:{number}" + (f":{place}" if place else ""), shape
+    raise ConfigError(f"no size in {config.sizes} for {MOST_BODIES} bodies = {config.bodies}: choose another chart")
 
 
 def _numbers(shape: BodyShape) -> tuple[bytes, float, bool]:
@@ -214,7 +253,7 @@ def _neutral_with_legs_apart() -> Body:
 
 
 def _dress(seed: int, wearer: _Wearer, design: GarmentDesign, config: MakeConfig) -> DressedWearer | Reject:
-    pattern = try_on(wearer.size, design, name=sample_key(wearer.index))
+    pattern = try_on(wearer.cut_for, design, name=sample_key(wearer.index))
     if isinstance(pattern, Reject):
         return pattern
     shape = wearer.shape
@@ -227,21 +266,31 @@ def _dress(seed: int, wearer: _Wearer, design: GarmentDesign, config: MakeConfig
         body = wearer.body
     else:
         body = _neutral_with_legs_apart() if wearer.name == "neutral" and not config.arms else _built(*_numbers(shape))
+    fit = wearer.cut.fit(pattern, design, wearer.size) if wearer.cut else None
     try:
+        if fit:
+            from gcd_dataset.generator.dressing import dress
+
+            at_height = lifted(pattern, design, cut_for=wearer.cut_for, wearer=wearer.size)
+            pattern = dress(at_height, body, wearer.size).pattern
         mesh = build_box_mesh(pattern, spacing=config.resolution) if config.stage != "pattern" else None
+    except PatternError as error:
+        return Reject("cannot_be_placed", str(error))
     except MeshError as error:
         return Reject("cannot_be_meshed", str(error))
     coarse, start = None, None
-    if mesh is not None and config.stage == "drape":
+    if mesh is not None and config.stage == "drape" and not (fit and fit.obstacle):
         from gcd_dataset.generator.dressing.sewing_start import sewing_start
 
         coarse = coarse_start(mesh)
         start = sewing_start(coarse.mesh if coarse else mesh, body)
-    return DressedWearer(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse, start)
+    return DressedWearer(
+        wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse, start, wearer.cut_for, fit
+    )
 
 
 def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", ...]:
-    """The drape job of each wearer; none before stage ``drape``."""
+    """The drape job of each wearer that can put its garment on; none before stage ``drape``."""
     if config.stage != "drape":
         return ()
     from gcd_dataset.generator.drape import DrapeJob
@@ -256,12 +305,27 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
             wearer.start,
         )
         for wearer in design.dressed
-        if wearer.box_mesh is not None
+        if wearer.box_mesh is not None and not wearer.obstacle
+    )
+
+
+def all_replies(design: DressedDesign, replies: Sequence["DrapeReply"], config: MakeConfig) -> tuple["DrapeReply", ...]:
+    """The replies to ``drape_jobs``, and one with ``CANNOT_BE_PUT_ON`` for each other wearer, in their order."""
+    if config.stage != "drape":
+        return ()
+    from gcd_dataset.generator.drapers import DrapeReply
+
+    draped = iter(replies)
+    return tuple(
+        DrapeReply(-1, undraped(wearer.box_mesh, wearer.obstacle), None)
+        if wearer.box_mesh is not None and wearer.obstacle
+        else next(draped)
+        for wearer in design.dressed
     )
 
 
 def view_requests(design: DressedDesign, config: MakeConfig) -> tuple[ViewRequest, ...]:
-    """The drawn views of each wearer; none if ``config.views`` is 0."""
+    """The drawn views of each of ``drape_jobs``; none if ``config.views`` is 0."""
     if not config.views:
         return ()
     seed = picture_seed(design.seed, data_seed=design.seed, recipe=recipe_of(config))
@@ -275,15 +339,17 @@ def view_requests(design: DressedDesign, config: MakeConfig) -> tuple[ViewReques
             stored_body(wearer.shape),
         )
         for wearer in design.dressed
+        if not wearer.obstacle
     )
 
 
 def rejection(design: DressedDesign, drapes: Sequence[Drape], config: MakeConfig) -> Rejected | None:
     """The first failed drape, as the reason for another attempt; ``None`` if the design is kept.
 
-    A failed drape is kept with ``on_fail="keep"`` and in the last attempt.
+    A failed drape is kept with ``on_fail="keep"`` and in the last attempt. With sizes ``MISFITS`` are no failures.
     """
-    failed = next((row for row, drape in enumerate(drapes) if drape.outcome is not Outcome.SETTLED), None)
+    good = {Outcome.SETTLED} | (MISFITS if config.sizes else frozenset())
+    failed = next((row for row, drape in enumerate(drapes) if drape.outcome not in good), None)
     last = len(design.rejects) + 1 >= config.max_attempts
     if failed is None or config.on_fail == "keep" or last:
         return None
@@ -305,12 +371,13 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
     views: tuple[StoredView, ...] = ()
     if reply is not None:
         views = tuple(StoredView(jpeg_bytes(view.rgb), view.facts) for view in reply.views)
-        if not views and not np.isfinite(reply.drape.vertices).all():
+        if not views and (dressed.obstacle or not np.isfinite(reply.drape.vertices).all()):
             views = config.views * (MISSING_VIEW,)  # every sample has the same members
     if reply is not None and mesh is not None:
-        drape = replace(reply.drape, strain=strain_of(mesh, reply.drape.vertices))
+        strain = strain_of(mesh, reply.drape.vertices) if not dressed.obstacle else None
+        drape = replace(reply.drape, strain=strain)
     if config.captions:
-        caption = captions_text(dressed.size, design.design, dressed.pattern, seed=design.seed, index=index)
+        caption = captions_text(dressed.cut_for, design.design, dressed.pattern, seed=design.seed, index=index)
     front, back = (None, None) if reply is None or reply.pictures is None else map(jpeg_bytes, reply.pictures)
     return Sample(
         key=sample_key(index),
@@ -336,10 +403,11 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         back=back,
         views=views,
         gathers=dressed.pattern.gather_ratios(),
-        tags=garment_tags(dressed.size, design.design, dressed.pattern),
+        tags=garment_tags(dressed.cut_for, design.design, dressed.pattern),
         fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),
         caption=caption,
+        fit=dressed.fit,
     )
 
 

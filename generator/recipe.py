@@ -1,6 +1,7 @@
 """``MakeConfig``, the options of samples, and the recipe: those options that decide the samples' bytes."""
 
-from dataclasses import dataclass, fields
+import re
+from dataclasses import dataclass, field, fields
 from functools import cache
 from importlib.metadata import version
 from typing import Annotated, Any, Literal, TypedDict, get_args
@@ -8,9 +9,10 @@ from typing import Annotated, Any, Literal, TypedDict, get_args
 from gcd_dataset import __version__
 from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.body.sizes import CHARTS, SizeChart, read_chart
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.options import Option
-from gcd_dataset.shards.layout import Layout, garments_layout
+from gcd_dataset.shards.layout import Layout, garments_layout, recipe_hash
 
 Bodies = Literal["neutral", "random", "both", "female", "male", "pooled"]
 LastStage = Literal["pattern", "mesh", "drape"]
@@ -23,6 +25,11 @@ KINDS = {
     Overlay: "design overlay, by Overlay.from_dict or read_overlay",
 }
 USUAL_FABRIC = "default"
+NO_MISFIT = "0:0"
+STEPS = re.compile(r"([+-]?\d{1,3}):([+-]?\d{1,3})")
+LATER = {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0, "captions": False, "views": 0}
+LATER |= {"sizes": "", "misfit": NO_MISFIT}
+"""Options that a recipe omits at these values, so that the hash of recipes older than they are stays the same."""
 FINEST, COARSEST = 0.2, 10.0  # cm
 LIMITS = {
     "points": (0, 1 << 20),  # at most 12 MB a sample
@@ -100,8 +107,26 @@ class MakeConfig:
     ] = 0
     view_size: Annotated[int, Option("width and height of these pictures", unit="pixels")] = 256
 
+    sizes: Annotated[
+        str,
+        Option(
+            "size chart, women, men or a TOML file: each garment is cut for a size of it, and draped on its wearer; "
+            "meta.fit names both sizes and how it fits; a body without a size in the chart is drawn again; empty: each "
+            "garment is cut for its wearer"
+        ),
+    ] = ""
+    misfit: Annotated[
+        str,
+        Option(
+            "sizes from the wearer's to the one that the garment is cut for, as in --misfit=-3:3, each with equal "
+            "probability; a size beyond the ends of the chart is not drawn: where it has none in the range, the nearest"
+        ),
+    ] = NO_MISFIT
+    chart: SizeChart | None = field(default=None, init=False, repr=False, compare=False)
+    """The chart ``sizes``, as read."""
+
     def __post_init__(self) -> None:
-        for entry in fields(self):
+        for entry in (entry for entry in fields(self) if entry.init):
             _require_type(entry.name, getattr(self, entry.name), type(entry.default))
         for name, kind in {"bodies": Bodies, "stage": LastStage, "on_fail": OnFail}.items():
             if getattr(self, name) not in get_args(kind):
@@ -119,6 +144,12 @@ class MakeConfig:
                 raise ConfigError(f"{name} is {value if value < 10**15 else '10**15 or more'}: give {least} to {most}")
         if self.bodies == "neutral" and self.bodies_each > 1:
             raise ConfigError(f"bodies_each is {self.bodies_each}, but there is one neutral body: give 1")
+        if self.sizes:
+            object.__setattr__(self, "chart", read_chart(self.sizes))
+        elif self.misfit != NO_MISFIT:
+            raise ConfigError(f"misfit is {self.misfit}, but there is no size chart: give sizes, such as women")
+        if not (match := STEPS.fullmatch(self.misfit)) or int(match[1]) > int(match[2]):
+            raise ConfigError(f"misfit is {self.misfit!r}: give two whole numbers, the smaller first, such as -3:3")
         if self.views and self.stage != "drape":
             raise ConfigError(f"views is {self.views}, but stage {self.stage} drapes nothing: give stage drape, or 0")
 
@@ -126,6 +157,12 @@ class MakeConfig:
     def wearers(self) -> int:
         """Number of bodies that wear one design."""
         return self.bodies_each + (self.bodies == "both")
+
+    @property
+    def steps(self) -> tuple[int, int]:
+        """Least and most of ``misfit``."""
+        least, most = map(int, self.misfit.split(":"))
+        return least, most
 
 
 class MakeOptions(TypedDict, total=False):
@@ -144,6 +181,8 @@ class MakeOptions(TypedDict, total=False):
     captions: bool
     views: int
     view_size: int
+    sizes: str
+    misfit: str
 
 
 def check_resolution(centimetres: float) -> float:
@@ -155,12 +194,15 @@ def check_resolution(centimetres: float) -> float:
 
 def recipe_of(config: MakeConfig) -> dict[str, Any]:
     """All options that decide the bytes of a sample besides seed and index, as JSON values."""
-    recipe = {entry.name: getattr(config, entry.name) for entry in fields(config)}
+    recipe = {entry.name: getattr(config, entry.name) for entry in fields(config) if entry.init}
     recipe["design"] = config.design.to_dict()
     if not config.views:
         del recipe["view_size"]
-    for name, usual in {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0, "captions": False, "views": 0}.items():
-        if recipe[name] == usual:  # omitted, so that the hash of recipes older than these options stays the same
+    if config.chart and config.sizes not in CHARTS:  # its content decides, wherever the file lies
+        bodies = {size: body.to_file_values() for size, body in config.chart.bodies.items()}
+        recipe["sizes"] = recipe_hash({"bodies": bodies, "limits": dict(config.chart.limits)})
+    for name, usual in LATER.items():
+        if recipe[name] == usual:
             del recipe[name]
     recipe["device"] = device_kind(config) if config.stage == "drape" else "cpu"
     return recipe

@@ -23,6 +23,7 @@ from gcd_dataset.cli import main
 from gcd_dataset.cli.common import Stopped, interrupts_after_imports
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import named_body, read_measurements
+from gcd_dataset.generator.body.sizes import read_chart
 from gcd_dataset.generator.fitting import Fitting, write_fitting
 from gcd_dataset.generator.garments import draw_garment, read_design
 from gcd_dataset.generator.garments.overlay import Overlay
@@ -261,6 +262,31 @@ def test_fit_draws_a_design_for_a_body_and_drapes_it(tmp_path: Path, capsys: pyt
     assert written.to_file_values() == pytest.approx(size.to_file_values())
     for ending in ("_pattern.svg", "_front.png", "_pattern.png"):
         assert (out / f"mini{ending}").stat().st_size > 1000
+
+
+def test_drape_cuts_a_design_for_a_size_and_tells_how_it_fits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The mean woman has size 96; a specification without a design is refused, the other files are draped."""
+    skirt, spec = tmp_path / "skirt_design_params.yaml", tmp_path / "napkins_specification.json"
+    skirt.write_text("meta: {upper: null, bottom: PencilSkirt, wb: null}\n")
+    write_pattern(napkins(), spec)
+    options = ["--body", "female", "--resolution", "8", "--device", "cpu", "--quiet", "--allow-unsettled"]
+    reports = {}
+    for size in ("88", "76"):
+        out = tmp_path / size
+        assert main(["drape", str(skirt), str(spec), "--cut-for", size, *options, "--out", str(out)]) == 1
+        reports[size] = json.loads((out / "report.json").read_text())["garments"]
+    said = capsys.readouterr()
+    (fits, refused), (tight, _) = reports["88"], reports["76"]
+    assert fits["fit"] == {"chart": "women", "cut_for": "88", "wearer_size": "96", "step": -2, "labels": []}
+    assert refused["outcome"] == "REFUSED" and "a specification without its design" in refused["reason"]
+    assert "fit" not in refused
+    assert tight["outcome"] == "CANNOT_BE_PUT_ON"
+    assert tight["fit"]["labels"][0]["figures"]["ring_cm"] == pytest.approx(read_chart("women").body("76").waist)
+    assert "on this body, too_tight: a top edge of 62.0 cm" in said.err
+    assert main(["drape", str(skirt), "--sizes", "men", *options, "--out", str(tmp_path / "out")]) == 2
+    assert "--sizes needs the size to cut: give --cut-for SIZE" in one_line(capsys.readouterr().err)
 
 
 def test_fit_reads_the_mesh_of_a_body_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from gcd_dataset.check.checks import Check
 from gcd_dataset.errors import PatternError, SpecError
 from gcd_dataset.faults import Rule, Severity, check_pattern
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.records import Grade, Outcome, Pattern
+from gcd_dataset.records import MISFITS, Grade, Outcome, Pattern
 from gcd_dataset.spec import pattern_from_spec
 from gcd_dataset.tensors import CurveKind, EdgeColumn, PatternTensor, StitchColumn, decode_pattern
 
@@ -116,6 +116,8 @@ def garment_faults(garment: CheckedGarment) -> Iterator[Fault]:
 
 def _drape_faults(meta: Mapping[str, Any]) -> Iterator[str]:
     drape = meta.get("drape")
+    if drape is not None and "fit" in meta and drape["outcome"] in {outcome.name for outcome in MISFITS}:
+        return
     if drape is not None and drape["outcome"] != Outcome.SETTLED.name:
         yield f"outcome {drape['outcome']}"
     elif meta.get("grade") == Grade.FAILED.value:

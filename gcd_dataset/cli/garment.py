@@ -3,6 +3,8 @@
 import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +23,7 @@ from gcd_dataset.errors import ConfigError, PatternError, shown
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.body.tailor import MeasureResult
+    from gcd_dataset.generator.sized import Cut
 
 DESIGN_HELP = "GarmentCode's design_params.yaml, or ours"
 FABRICS = "denim, drill, interlock, wool_light ...; an unknown name lists them all"
@@ -31,7 +34,16 @@ def add_verbs(verbs: Any) -> None:
     drape = add_verb(
         verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"
     )
-    drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
+    drape.add_argument(
+        "spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON; with --cut-for, a file with a design"
+    )
+    drape.add_argument(
+        "--cut-for",
+        metavar="SIZE",
+        help="draw the designs in this size of a chart, whatever the body's; report.json names both sizes, and the "
+        "rules that a garment breaks on the body",
+    )
+    drape.add_argument("--sizes", metavar="CHART", help="women, men, or a size chart as TOML (default: women)")
     _add_draping(drape)
 
     fit = add_verb(verbs, "fit", _fit, "draw a design for a body, and drape it; exit 1 if it does not settle")
@@ -100,18 +112,27 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
     from gcd_dataset.generator.fitting import (
         Fitting,
         Refusal,
+        cut_patterns,
         drape_patterns,
         read_patterns,
         write_fitting,
         write_report,
     )
     from gcd_dataset.generator.recipe import check_resolution
+    from gcd_dataset.generator.sized import size_or_none
     from gcd_dataset.records import Outcome
 
-    patterns, device = read_patterns(options.spec), resolve_device(options.device)
+    device = resolve_device(options.device)
     resolution, fabric = check_resolution(options.resolution), fabric_named(options.fabric)
+    cut = _cut_size(options)
     wearer = wearer or wearer_of(options)
-    wearer(False)  # raises before anything is written
+    _, size = wearer(False)  # raises before anything is written
+    cut = cut and replace(cut, wearer_size=size_or_none(cut.chart, size))
+    cuts = list(cut_patterns(options.spec, cut, size)) if cut else []
+    patterns = (pattern for pattern, _ in cuts) if cut else read_patterns(options.spec)
+    for path, (_, fit) in zip(options.spec, cuts, strict=False):
+        for label in fit.labels if fit else ():
+            print(f"gcd drape: {path}: on this body, {label.rule}: {label.reason}", file=sys.stderr)
     folder = make_folder(options.out)
     fittings: list[Fitting | Refusal] = []
     log_drape_time(len(options.spec), device, resolution)
@@ -125,11 +146,12 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
         made_by = {"body": options.body, "fabric": options.fabric, "device": device}
         if fittings:
             of_files = zip(options.spec, fittings, strict=False)
-            write_report(of_files, folder / "report.json", resolution=resolution, **made_by)
+            fits = [fit for _, fit in cuts] or repeat(None)
+            write_report(of_files, folder / "report.json", resolution=resolution, fits=fits, **made_by)
     failed = False
     for fitting in fittings:
         if isinstance(fitting, Refusal):
-            print(f"gcd {options.verb}: {fitting.name}: REFUSED: {fitting.reason}", file=sys.stderr)
+            print(f"gcd {options.verb}: {fitting.name}: {fitting.outcome.name}: {fitting.reason}", file=sys.stderr)
             failed = True
             continue
         drape = fitting.drape
@@ -143,6 +165,20 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
             failed = failed or not options.allow_unsettled
     print(f"{folder}: meshes, pictures and report.json")
     return int(failed)
+
+
+def _cut_size(options: argparse.Namespace) -> "Cut | None":
+    """``--cut-for`` in ``--sizes``. Raises ``ConfigError`` for a size that the chart lacks."""
+    if getattr(options, "cut_for", None) is None:
+        if getattr(options, "sizes", None) is not None:
+            raise ConfigError("--sizes needs the size to cut: give --cut-for SIZE")
+        return None
+    from gcd_dataset.generator import read_chart
+    from gcd_dataset.generator.sized import Cut
+
+    chart = read_chart(options.sizes or "women")
+    chart.body(options.cut_for)
+    return Cut(chart, options.cut_for, "")
 
 
 def _fit(options: argparse.Namespace) -> int:

@@ -117,6 +117,7 @@ FAIL_CLASSES: Mapping[Outcome, str] = {
     Outcome.OVERFULL: "crashes",
     Outcome.REFUSED: "crashes",
     Outcome.DIVERGED: "crashes",
+    Outcome.CANNOT_BE_PUT_ON: "crashes",
 }
 """Outcome to the failure class in the properties of a batch; ``crashes`` if no class of the layout fits."""
 

@@ -31,6 +31,8 @@ from gcd_dataset.records import (
     BodyShape,
     BoxMesh,
     Drape,
+    Fit,
+    FitLabel,
     Grade,
     Measurements,
     NamedFabric,
@@ -70,6 +72,7 @@ from gcd_dataset.shards.meta import (
     NO_STRAIN,
     STRETCHES,
     decode_object,
+    fit_entry,
     json_bytes,
     json_text,
     read_meta,
@@ -318,6 +321,7 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         "gathers": list(map(float, sample.gathers)) or [-1.0],
         "tags": list(sample.tags) or [""],
         "source": provenance.source,
+        **({} if sample.fit is None else {"fit": fit_entry(sample.fit)}),
     }
 
 
@@ -413,6 +417,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             tags=tuple(meta["tags"]),
             caption=field.get("caption"),
             views=_views(pictures, field),
+            fit=_fit(meta["fit"]) if "fit" in meta else None,
             **{name: pictures[name] for name in ("front", "back") if pictures.get(name, NO_PICTURE) != NO_PICTURE},
         )
     except (KeyError, ValueError, TypeError) as error:
@@ -671,6 +676,10 @@ def _drape(field: Mapping[str, Any]) -> Drape:
     if strain is not None:
         values["strain"] = Strain(tuple(strain["principal"]), tuple(map(tuple, strain["panels"])))
     return Drape(**values, vertices=field["verts"].astype(float))
+
+
+def _fit(entry: Mapping[str, Any]) -> Fit:
+    return Fit(**{**entry, "labels": tuple(FitLabel(**label) for label in entry["labels"])})
 
 
 def _views(pictures: Mapping[str, bytes], field: Mapping[str, Any]) -> tuple[StoredView, ...]:

@@ -39,6 +39,10 @@ garments              JSON type  holds                                          
 ``gathers``           floats     left edge / right edge in length, for each seam  (*)             ``[-1.0]``
 ``tags``              texts      names of the style: ``generator.garments.TAGS``  (*)             ``[""]``
 ``source``            text       publication that the garment comes from                          ``""``
+``fit``               object     only in data sets with sizes: ``chart``, ``cut_for``,            ``wearer_size`` ``""``
+                                 ``wearer_size`` (texts), ``step`` (int), ``labels``, objects     for a body outside
+                                 with ``rule``, ``reason`` (texts), ``figures`` (JSON text)       of it; a label of
+                                                                                                  ``""``, ``"{}"``
 ``crc32``             object     CRC-32 of every other member, ints
 ``crc32_before``      int        CRC-32 of the bytes of this file before this key
 ====================  =========  ===============================================================  =====================
@@ -58,7 +62,7 @@ from typing import Any
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.jsonfile import found, loads
-from gcd_dataset.records import Rejected
+from gcd_dataset.records import Fit, FitLabel, Rejected
 from gcd_dataset.shards.layout import LARGEST_JSON, META, SCHEMA, Bytes, key_of
 
 
@@ -82,6 +86,7 @@ STRETCHES = ("stretch_median", "stretch_p99")
 NO_DRAPE: Mapping[str, Any] = {"outcome": "", "frames": 0} | dict.fromkeys(COUNTS, -1) | dict.fromkeys(STRETCHES, -1.0)
 NO_STRAIN: Mapping[str, Any] = {"principal": [-1.0, -1.0], "panels": [[-1.0, -1.0]]}
 NO_FABRIC: Mapping[str, Any] = {"name": "", "parameters": "{}"}
+NO_LABEL: Mapping[str, Any] = {"rule": "", "reason": "", "figures": "{}"}
 
 
 # ------------------------------------------------------------------------------------------------------------- writing
@@ -105,8 +110,18 @@ def json_text(value: Any) -> str:
 
 def reject_entry(reject: Rejected) -> dict[str, Any]:
     """A rejected attempt as an entry of ``rejects``; ``figures`` are rounded to four decimals."""
-    figures = {name: x if isinstance(x, int) else round(float(x), DIGITS) for name, x in reject.figures.items()}
-    return {"index": reject.index, "rule": reject.rule, "reason": reject.reason, "figures": json_text(figures)}
+    return {"index": reject.index, **_broken_rule(reject)}
+
+
+def fit_entry(fit: Fit) -> dict[str, Any]:
+    """The fit as the entry ``fit``; ``figures`` are rounded to four decimals."""
+    named = {name: getattr(fit, name) for name in ("chart", "cut_for", "wearer_size", "step")}
+    return {**named, "labels": list(map(_broken_rule, fit.labels)) or [NO_LABEL]}
+
+
+def _broken_rule(broken: Rejected | FitLabel) -> dict[str, Any]:
+    figures = {name: x if isinstance(x, int) else round(float(x), DIGITS) for name, x in broken.figures.items()}
+    return {"rule": broken.rule, "reason": broken.reason, "figures": json_text(figures)}
 
 
 # ------------------------------------------------------------------------------------------------------------- reading
@@ -139,7 +154,7 @@ def read_meta(data: Bytes) -> dict[str, Any]:
     if meta.get("schema") != SCHEMA or isinstance(meta["schema"], bool):
         raise ShardError(f"of schema {found(meta.get('schema'))}, but this reader knows {SCHEMA}: update gcd_dataset")
     _require_seal(data)
-    forms = PERSON if "name" in meta else GARMENT
+    forms = PERSON if "name" in meta else {**GARMENT, **({"fit": _FIT} if "fit" in meta else {})}
     for name, form in forms.items():
         if name not in meta:
             raise ShardError(f"{name} is missing")
@@ -149,6 +164,9 @@ def read_meta(data: Bytes) -> dict[str, Any]:
     loaded |= {name: _parsed(meta[name]) for name in ("versions", "recipe")}
     if not all(isinstance(version, str) for version in loaded["versions"].values()):
         raise ShardError(f"versions is {found(loaded['versions'])}")
+    if "fit" in meta:
+        labels = [label | {"figures": _parsed(label["figures"])} for label in meta["fit"]["labels"] if label["rule"]]
+        loaded["fit"] = meta["fit"] | {"labels": labels}
     return loaded if forms is PERSON else loaded | _loaded(meta)
 
 
@@ -244,6 +262,9 @@ _ORIGIN: Mapping[str, Any] = {
 }
 PERSON: Mapping[str, Any] = {**_ORIGIN, "name": str, "arm_angle": _is_number}
 _PAIR = (_is_number, _is_number)
+_FIT: Mapping[str, Any] = {"chart": str, "cut_for": str, "wearer_size": str, "step": int} | {
+    "labels": [{"rule": str, "reason": str, "figures": str}]
+}
 GARMENT: Mapping[str, Any] = {
     **_ORIGIN,
     "attempts": is_count,

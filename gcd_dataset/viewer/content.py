@@ -164,6 +164,9 @@ def _outcome_rows(sample: Sample) -> Iterator[tuple[str, str]]:
     if drape is not None and drape.strain is not None:
         largest, smallest = drape.strain.principal
         yield "principal stretch", f"{smallest:.3f} to {largest:.3f}"
+    if (fit := sample.fit) is not None:
+        yield "cut for", f"size {fit.cut_for}, the wearer's {fit.wearer_size} {fit.step:+d}, of chart {fit.chart}"
+        yield from ((label.rule.replace("_", " "), label.reason) for label in fit.labels)
     if sample.box_mesh is not None:
         yield "vertices", str(len(sample.box_mesh.vertices))
         yield "faces", str(len(sample.box_mesh.faces))

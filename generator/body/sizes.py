@@ -43,6 +43,8 @@ class SizeChart:
     """Name of each size to the measures of its body."""
     limits: Mapping[str, tuple[float, ...]]
     """Each measure that decides the size, to the ends of its intervals, one more than sizes [cm]."""
+    name: str
+    """``women``, or the name of its file."""
 
     def body(self, size: str) -> Measurements:
         """The measures of a size's body. Raises ``ConfigError`` for a size that the chart lacks."""
@@ -106,7 +108,8 @@ def read_chart(name_or_path: Path | str) -> SizeChart:
             raise ConfigError(f"{place}: give it two tables, fits and body")
         intervals[size] = dict(_intervals(entry["fits"], place))
         bodies[size] = _body(entry, place)
-    return SizeChart(str(path), bodies, _limits(intervals, bodies, path))
+    name = str(name_or_path) if str(name_or_path) in CHARTS else path.name
+    return SizeChart(str(path), bodies, _limits(intervals, bodies, path), name)
 
 
 def _body(entry: Mapping[str, Any], place: str) -> Measurements:

@@ -209,10 +209,12 @@ class BottomGarment(Garment[D]):
     """The parameter of its section for the width of a flared bottom; empty if the width is fixed."""
     cuffs: Callable[[Measurements, D, float], tuple[float, float]] | None = None
     """Girths of the band at the end of its legs and of the leg inside the band, for a rise [cm]; ``None``: no legs."""
-    rings_of: Callable[[Measurements, Any, float, float], Iterable[Ring]] = field(default=lambda *drawn: ())
+    rings_of: Callable[[Measurements, Any, float, float, Measurements], Iterable[Ring]] = field(
+        default=lambda *drawn: ()
+    )
     """The rings below the hips that may be narrower than the legs; empty for a wide skirt.
 
-    For a rise, and a length from the top to the hem [cm].
+    For a rise, a length from the top to the hem [cm], and a wearer, on whom the top hangs at the same rise.
     """
     always_sewable: Callable[[D], bool] = field(default=lambda design: False)
     """Whether a design needs no sewability check in sampling, since no cut can run into another edge."""
@@ -249,9 +251,11 @@ class BottomGarment(Garment[D]):
         """``length`` as drawn [cm]: longer if a part of the garment has a least length."""
         return (self.drawn_length_of or self.length_of)(size, self.drawn_from(design), rise)
 
-    def rings(self, size: Measurements, design: "GarmentDesign", rise: float) -> Iterable[Ring]:
-        """The rings of the garment in a design, its top at ``rise``: see ``rings_of``."""
-        return self.rings_of(size, self.drawn_from(design), rise, self.length(size, design, rise))
+    def rings(
+        self, size: Measurements, design: "GarmentDesign", rise: float, wearer: Measurements | None = None
+    ) -> Iterable[Ring]:
+        """The rings of the garment in a design, its top at ``rise``: see ``rings_of``; ``wearer``: default ``size``."""
+        return self.rings_of(size, self.drawn_from(design), rise, self.length(size, design, rise), wearer or size)
 
     def describe(self, setting: Setting, design: "GarmentDesign") -> Description:
         return self.description_of(setting, self.drawn_from(design))

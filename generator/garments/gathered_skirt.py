@@ -62,12 +62,14 @@ def _slit(design: GatheredSkirtDesign, below_hips: float, mends: frozenset[Mend]
     return design.bottom_cut * max(length, 0.0)
 
 
-def _rings(size: Measurements, design: GatheredSkirtDesign, rise: float, length: float) -> Iterator[Ring]:
+def _rings(
+    size: Measurements, design: GatheredSkirtDesign, rise: float, length: float, wearer: Measurements
+) -> Iterator[Ring]:
     """The skirt's cloth at the hips, if it covers them: with few gathers it is no wider than the waist."""
-    above = rise * size.hips_line
+    above = rise * wearer.hips_line
     if length > above:
         cloth = design.ruffle * girth_at_rise(size, rise) + 4 * design.flare * above / length
-        yield Ring("a skirt", cloth, size.hips, "raise skirt.ruffle or skirt.flare")
+        yield Ring("a skirt", cloth, wearer.hips, "raise skirt.ruffle or skirt.flare")
 
 
 def _describe(setting: Setting, design: GatheredSkirtDesign) -> Description:

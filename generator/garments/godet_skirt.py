@@ -142,7 +142,9 @@ def _combined(size: Measurements, drawn: Combined[GodetSkirtDesign], cutting: Cu
     return with_godets(base.garment.cut(size, base.plain, cutting), drawn.design)
 
 
-def _rings(size: Measurements, drawn: Combined[GodetSkirtDesign], rise: float, length: float) -> Iterator[Ring]:
+def _rings(
+    size: Measurements, drawn: Combined[GodetSkirtDesign], rise: float, length: float, wearer: Measurements
+) -> Iterator[Ring]:
     """The rings of the base above its cuts, and the hem: godets narrower than their cuts draw it in."""
     design, (base,) = drawn
     count = design.num_inserts // 2
@@ -153,9 +155,9 @@ def _rings(size: Measurements, drawn: Combined[GodetSkirtDesign], rise: float, l
     if base.garment is PENCIL_SKIRT:
         opened = max(cut.depth for cut in cuts) / (length - rise * size.hips_line)
         shown = replace(shown, front_slit=min(opened, DEEPEST_SLIT))
-    yield from base.garment.rings_of(size, shown, rise, length)
+    yield from base.garment.rings_of(size, shown, rise, length, wearer)
     cloth = sum(hem + count * (design.insert_w - cut.width) for hem, cut in zip(hems, cuts, strict=True))
-    body = girth_below_waist(size, length + (1 - rise) * size.hips_line)
+    body = girth_below_waist(wearer, length + (1 - rise) * wearer.hips_line)
     yield Ring("a hem with godets", cloth, body, "raise godet-skirt.insert_w, or godet-skirt.num_inserts")
 
 

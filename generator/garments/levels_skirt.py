@@ -129,10 +129,12 @@ def _length(size: Measurements, drawn: Combined[LevelsSkirtDesign], rise: float,
     return max(base, shortest) + drawn.design.num_levels * max(level, shortest)
 
 
-def _rings(size: Measurements, drawn: Combined[LevelsSkirtDesign], rise: float, length: float) -> Iterable[Ring]:
+def _rings(
+    size: Measurements, drawn: Combined[LevelsSkirtDesign], rise: float, length: float, wearer: Measurements
+) -> Iterable[Ring]:
     """The rings of the base; the levels are at least as wide as its hem."""
     base, (base_length, _) = drawn.parts[0], _lengths(size, drawn.design, rise=rise, mends=ALL_MENDS)
-    return base.garment.rings_of(size, base.plain, rise, base_length)
+    return base.garment.rings_of(size, base.plain, rise, base_length, wearer)
 
 
 def _describe(setting: Setting, drawn: Combined[LevelsSkirtDesign]) -> Description:

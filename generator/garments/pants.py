@@ -201,13 +201,13 @@ def _hem_girth(size: Measurements, design: PantsDesign, rise: float, leg: float)
     return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in ends)
 
 
-def _rings(size: Measurements, design: PantsDesign, rise: float) -> Iterator[Ring]:
+def _rings(size: Measurements, design: PantsDesign, rise: float, wearer: Measurements) -> Iterator[Ring]:
     """The ring of a leg's hem; none for a leg with a cuff."""
     if design.cuff.type is not None:
         return
-    crotch = size.leg_length - size.crotch_hip_diff
-    level = min((1 - design.length) * size.leg_length / crotch, 1.0)
-    leg = float(np.interp(level, LEG_LEVELS, LEG_GIRTHS)) * size.leg_circ
+    crotch = wearer.leg_length - wearer.crotch_hip_diff
+    hem_level = (1 - design.length * (size.leg_length / wearer.leg_length)) * wearer.leg_length
+    leg = float(np.interp(min(hem_level / crotch, 1.0), LEG_LEVELS, LEG_GIRTHS)) * wearer.leg_circ
     hem = _hem_girth(size, design, rise, design.length * size.leg_length)
     yield Ring("a trouser leg", hem, leg, "raise pants.flare")
 
@@ -236,7 +236,7 @@ PANTS = BottomGarment(
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
     description_of=_describe,
     legs=True,
-    rings_of=lambda size, design, rise, length: _rings(size, design, rise),
+    rings_of=lambda size, design, rise, length, wearer: _rings(size, design, rise, wearer),
     cuffs=cuff_and_leg_girth,
     widened_by="flare",
     remedies=("cuff.top_ruffle-", "flare+", "cuff.cuff_len", "cuff.skirt_flare-"),

@@ -179,9 +179,12 @@ def _side(walk: Callable[..., Interface], side: str, *, ease: float) -> Interfac
     return walk(side) + walk(f"{side}_hip", ruffle=ease)
 
 
-def _rings(size: Measurements, design: PencilSkirtDesign, rise: float, length: float) -> Iterator[Ring]:
+def _rings(
+    size: Measurements, design: PencilSkirtDesign, rise: float, length: float, wearer: Measurements
+) -> Iterator[Ring]:
     """The skirt's cloth below the hips, above its highest slit, the hem's tilt left out."""
     below = length - rise * size.hips_line
+    lower = rise * (size.hips_line - wearer.hips_line)  # its hips below the wearer's
     slit = max(design.front_slit, design.back_slit, design.left_slit, design.right_slit)
     shapes = _quarters(size, rise, ALL_MENDS)
     hems = [(-_hem_width(size, shape, design), -below) for shape in shapes]
@@ -189,7 +192,7 @@ def _rings(size: Measurements, design: PencilSkirtDesign, rise: float, length: f
     for share in np.linspace(0.0, 1.0, RINGS):
         (front, y), (back, _) = (side.at(share) for side in sides)
         if -y <= (1 - slit) * below:
-            body = girth_below_waist(size, size.hips_line - y)
+            body = girth_below_waist(wearer, wearer.hips_line + lower - y)
             yield Ring("a pencil skirt", -2 * (front + back), body, "raise pencil-skirt.flare, or a slit")
 
 

@@ -15,6 +15,7 @@ from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import Fault, Rule, Severity, check_pattern
 from gcd_dataset.generator.garments.assembly import bottom_rise, pieces
+from gcd_dataset.generator.garments.cuff import arm_girth_in_end
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.garment import BottomGarment
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
@@ -29,14 +30,22 @@ from gcd_dataset.generator.garments.sewable import (
     shortest_shoulder,
     strap_width,
 )
-from gcd_dataset.generator.garments.tightness import STRAPS_GIVE, hip_load, strap_stretch, tightest_ring, trunk_rings
+from gcd_dataset.generator.garments.tightness import (
+    STRAPS_GIVE,
+    hip_load,
+    rings,
+    strap_stretch,
+    tightest_ring,
+    trunk_rings,
+)
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.waistband import band_rise
 from gcd_dataset.generator.pattern import MeasuredJoin, assemble_and_measure
-from gcd_dataset.records import Measurements, Pattern
+from gcd_dataset.records import CANNOT_BE_PUT_ON, Closure, FitLabel, Measurements, Pattern
 
 LIGHT_LENGTH = 0.5  # largest length of a flared skirt without a firm band, GarmentCode
 LIGHT_SUNS = 0.75  # largest flare-skirt.suns of a flared skirt without a firm band, GarmentCode
+HEAD_GIRTH = 2.18  # over head_l: mean of 24 of this package's bodies, ± 0.03
 FIRM_BAND = 0.25  # waistband.width above which a snug band is firm, GarmentCode
 
 
@@ -64,6 +73,13 @@ class DrawnGarment:
     joins: tuple[MeasuredJoin, ...]
     faults: tuple[Fault, ...]
     """The faults that ``faults.check_pattern`` found."""
+    wearer: Measurements | None = None
+    """The measures of its wearer, where it is drawn for another size."""
+
+    @property
+    def body(self) -> Measurements:
+        """The measures of the body that wears it."""
+        return self.wearer or self.size
 
     @cached_property
     def hulls(self) -> tuple[Complex[np.ndarray, "e 4"], ...]:
@@ -94,9 +110,18 @@ def check_design(garment: DrawnGarment) -> tuple[Reject, ...]:
     return tuple(reject for reject in found if reject is not None)
 
 
+def fit_labels(
+    pattern: Pattern, design: GarmentDesign, *, cut_for: Measurements, wearer: Measurements
+) -> tuple[FitLabel, ...]:
+    """The rules of ``WORN`` that a pattern drawn for one size breaks on its wearer."""
+    garment = DrawnGarment(cut_for, design, pattern, (), (), wearer)
+    found = (rule(garment) for rule in WORN)
+    return tuple(FitLabel(broken.rule, broken.figures, broken.numbers) for broken in found if broken is not None)
+
+
 def reaches_floor(garment: DrawnGarment) -> Reject | None:
     """The parts together are longer than the body from nape to floor, or for a bottom alone from waist to floor."""
-    length, room = garment_length(garment.size, garment.design), room_to_floor(garment.size, garment.design)
+    length, room = garment_length(garment.size, garment.design), room_to_floor(garment.body, garment.design)
     if length <= room:
         return None
     figures = f"{length:.1f} cm of garment over {room:.1f} cm of body: shorten it"
@@ -107,8 +132,7 @@ def slides_off(garment: DrawnGarment) -> Reject | None:
     """A bottom without an upper is wider at its top than waist and hips."""
     if not _is_bottom_alone(garment.design):
         return None
-    size = garment.size
-    girth, trunk = top_girth(size, garment.design), max(size.waist, size.hips)
+    girth, trunk = top_girth(garment.size, garment.design), max(garment.body.waist, garment.body.hips)
     if girth <= trunk:
         return None
     figures = f"a bottom of {girth:.1f} cm at the top on a trunk of {trunk:.1f} cm: narrow its band"
@@ -140,13 +164,15 @@ def too_heavy(garment: DrawnGarment) -> Reject | None:
 
 def tight_cuff(garment: DrawnGarment) -> Reject | None:
     """A sleeve's end or the cuff of a leg is too narrow for the limb inside it, even stretched by ``CLOTH_GIVES``."""
-    size, design = garment.size, garment.design
-    if has_tight_cuffs(size, design):
-        cuff, leg = cuff_and_leg_girth(size, design)
+    design = garment.design
+    if has_tight_cuffs(garment.size, design, garment.wearer):
+        cuff, leg = cuff_and_leg_girth(garment.size, design, garment.wearer)
         figures = f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len"
         return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": leg})
     for half in design.halves():
-        end, arm = end_and_arm_girth(size, design, half)
+        end, arm = end_and_arm_girth(garment.size, design, half)
+        if garment.wearer is not None:
+            arm = arm_girth_in_end(garment.wearer, half[-1])
         if 0.0 < end * CLOTH_GIVES < girth_of_cloth(arm):
             what, remedy = ("cuff", "lower top_ruffle") if half[-1].cuff.type else ("sleeve end", "raise end_width")
             figures = f"a {what} of {end:.1f} cm round an arm of {arm:.1f} cm: {remedy}"
@@ -156,11 +182,34 @@ def tight_cuff(garment: DrawnGarment) -> Reject | None:
 
 def too_tight(garment: DrawnGarment) -> Reject | None:
     """A ring of cloth round trunk or legs is narrower than the body inside it, by more than cloth stretches."""
-    ring = tightest_ring(garment.size, garment.design)
+    ring = tightest_ring(garment.size, garment.design, garment.wearer)
     if ring is None or ring.stretch <= CLOTH_GIVES:
         return None
     figures = f"{ring.name} of {ring.cloth:.1f} cm round {ring.body:.1f} cm of body: {ring.remedy}"
     return Reject("too_tight", figures, {"ring_cm": ring.cloth, "body_cm": ring.body})
+
+
+def cannot_be_put_on(garment: DrawnGarment) -> Reject | None:
+    """A ring is narrower than what it passes, or than the body at its place, even stretched by ``CLOTH_GIVES``.
+
+    Rings of a garment with an upper pass the bust, those round the trunk of another garment the hips, a neckline the
+    head. A ring narrower than this already on the body for which it is cut has a fastening, as has a front with a
+    closure: it must only close round the wearer.
+    """
+    size, design, body = garment.size, garment.design, garment.body
+    tight = [(ring.name, ring.cloth, ring.body) for ring in rings(size, design, body)]
+    if design.front.closure is Closure.SEWN or not design.halves():
+        widest = "hips" if design.meta.upper is None else "bust"
+        over = [(f"{ring.name} that passes the {widest}", ring.cloth) for ring in trunk_rings(size, design, body)]
+        tight += [(*ring, getattr(body, widest)) for ring in over if getattr(size, widest) <= ring[1]]
+        neck = neckline_girth(garment.pattern)
+        if HEAD_GIRTH * size.head_l <= neck:
+            tight.append(("a neckline that passes the head", neck, HEAD_GIRTH * body.head_l))
+    name, cloth, girth = max(tight, key=lambda ring: ring[2] / ring[1], default=("", 1.0, 0.0))
+    if girth <= cloth * CLOTH_GIVES:
+        return None
+    figures = f"{name}: {cloth:.1f} cm of cloth round {girth:.1f} cm of body"
+    return Reject(CANNOT_BE_PUT_ON, figures, {"ring_cm": cloth, "body_cm": girth})
 
 
 def overloaded_straps(garment: DrawnGarment) -> Reject | None:
@@ -260,6 +309,8 @@ RULES: tuple[Callable[[DrawnGarment], Reject | None], ...] = (
     narrow_strap,
     sharp_corner,
 )
+WORN = (too_tight, slides_off, tight_cuff, reaches_floor, cannot_be_put_on)
+"""The rules about the wearer: on the body for which a garment is cut they reject, on another they are labels."""
 
 
 # ------------------------------------------------------------------------------------------------------------- figures
@@ -326,24 +377,35 @@ def bottom_length(design: GarmentDesign) -> float:
     return float(design.meta.bottom.garment.length_garment(design).section_design(design).length)
 
 
-def cuff_and_leg_girth(size: Measurements, design: GarmentDesign) -> tuple[float, float]:
+def cuff_and_leg_girth(
+    size: Measurements, design: GarmentDesign, wearer: Measurements | None = None
+) -> tuple[float, float]:
     """Girth of the cuff at the end of a leg, and largest girth of the leg inside it [cm]; 0 without a cuff.
 
-    Raises ``PatternError`` for legs that cannot be drawn.
+    ``wearer``: the measures of the leg; default: ``size``. Raises ``PatternError`` for legs that cannot be drawn.
     """
     garment = design.meta.bottom.garment if design.meta.bottom else None
     if garment is None or garment.cuffs is None:
         return 0.0, 0.0
-    return garment.cuffs(size, garment.section_design(design), bottom_rise(design))
+    drawn = garment.section_design(design), bottom_rise(design)
+    cuff, leg = garment.cuffs(size, *drawn)
+    return cuff, leg if wearer is None else garment.cuffs(wearer, *drawn)[1]
 
 
-def has_tight_cuffs(size: Measurements, design: GarmentDesign) -> bool:
+def has_tight_cuffs(size: Measurements, design: GarmentDesign, wearer: Measurements | None = None) -> bool:
     """Whether the cuffs of trousers are too tight for the legs."""
     try:
-        cuff, leg = cuff_and_leg_girth(size, design)
+        cuff, leg = cuff_and_leg_girth(size, design, wearer)
     except PatternError:  # drawing the garment reports it
         return False
     return cuff * CLOTH_GIVES < leg
+
+
+def neckline_girth(pattern: Pattern) -> float:
+    """Length of all neck edges of a shirt [cm]; 0 without any."""
+    torsos = [panel for panel in pattern.panels if "torso" in panel.name]
+    edges = [(panel.edge_lengths()[number], edge) for panel in torsos for number, edge in enumerate(panel.edges)]
+    return float(sum(length for length, edge in edges if edge.name == "neck"))
 
 
 def _shoulder_seams(pattern: Pattern) -> Iterator[tuple[str, float]]:

@@ -28,68 +28,95 @@ from gcd_dataset.records import Closure, Measurements
 # the shoulders of a shirt are wider than the wearer's. Of 16 fitted shirts, 0.5 cm.
 SHIRT_SINKS = 3.0  # cm
 WIDER_WAIST = "lower waistband.width, or widen the part below"
+LARGER = "choose a larger size"
 WIDER_HEM = "raise waistband.waist or shirt.flare, or shorten shirt.length"
 
 
-def tightest_ring(size: Measurements, design: GarmentDesign) -> Ring | None:
+def tightest_ring(size: Measurements, design: GarmentDesign, wearer: Measurements | None = None) -> Ring | None:
     """The ring that has to stretch most; ``None`` for a garment without rings. Raises ``PatternError`` as ``parts``."""
-    return max(rings(size, design), key=lambda ring: ring.stretch, default=None)
+    return max(rings(size, design, wearer), key=lambda ring: ring.stretch, default=None)
 
 
-def rings(size: Measurements, design: GarmentDesign) -> Iterator[Ring]:
-    """The rings round the trunk, and the rings of the bottom: see ``BottomGarment.rings``."""
-    yield from trunk_rings(size, design)
+def rings(size: Measurements, design: GarmentDesign, wearer: Measurements | None = None) -> Iterator[Ring]:
+    """The rings round the trunk, and the rings of the bottom: see ``BottomGarment.rings``.
+
+    ``wearer``: measures of the body inside the rings of a garment cut for ``size``; default: ``size``.
+    """
+    yield from trunk_rings(size, design, wearer)
     if design.meta.bottom is not None:
-        yield from design.meta.bottom.garment.rings(size, design, bottom_rise(design))
+        yield from design.meta.bottom.garment.rings(size, design, bottom_rise(design), wearer)
 
 
-def trunk_rings(size: Measurements, design: GarmentDesign) -> Iterator[Ring]:
+def trunk_rings(size: Measurements, design: GarmentDesign, wearer: Measurements | None = None) -> Iterator[Ring]:
     """The seams between the parts, a straight shirt at the hips, and the hem of a garment without a bottom.
 
-    A shirt with an open front makes no ring but the seam to the part below it.
+    On another ``wearer`` also the rings that fit the body of ``size`` by construction: see ``_fitted_rings``. A shirt
+    with an open front makes no ring but the seam to the part below it.
     """
-    hung = _hung(size, design)
+    body = wearer or size
+    hung = _hung(size, design, body)
     for (above, hem), (below, _) in pairwise(hung):
         cloth = min(above.length("bottom"), below.length("top"))
-        yield Ring("a waist seam", cloth, girth_below_waist(size, hem), WIDER_WAIST)
+        yield Ring("a waist seam", cloth, girth_below_waist(body, hem), WIDER_WAIST)
+    if wearer is not None:
+        yield from _fitted_rings(size, design, wearer, hung[0][0])
     if design.front.closure is Closure.OPEN and design.halves():
         return  # the front gives way
-    yield from _shirt_over_hips(size, design, hung[0][1])
+    yield from _shirt_over_hips(size, design, hung[0][1], body)
     last, hem = hung[-1]
     if design.meta.bottom is None and "bottom" in last.interfaces:
-        yield Ring("a hem", last.length("bottom"), girth_below_waist(size, hem), WIDER_HEM)
+        yield Ring("a hem", last.length("bottom"), girth_below_waist(body, hem), WIDER_HEM)
 
 
-def _shirt_over_hips(size: Measurements, design: GarmentDesign, hem: float) -> Iterator[Ring]:
-    """The cloth of a straight shirt at the hips, if its hem hangs lower, ``hem`` cm below the waist."""
+def _fitted_rings(size: Measurements, design: GarmentDesign, wearer: Measurements, first: Component) -> Iterator[Ring]:
+    """A shirt at the bust, the top of a bottom without upper, trousers at the hips; ``first``: the uppermost part."""
+    upper = design.meta.upper.garment if design.meta.upper else None
+    if isinstance(upper, Shirt) and design.front.closure is not Closure.OPEN:
+        widths = [1.0 if upper.fitted else half[0].width for half in design.halves()]
+        yield Ring("a shirt at the bust", size.bust * sum(widths) / len(widths), wearer.bust, LARGER)
+    if upper is None and "top" in first.interfaces:
+        yield Ring("a top edge", first.length("top"), girth_below_waist(wearer, _top_depth(wearer, design)), LARGER)
+    if design.meta.bottom is not None and design.meta.bottom.garment.legs:
+        yield Ring("trousers at the hips", size.hips, wearer.hips, LARGER)
+
+
+def _shirt_over_hips(size: Measurements, design: GarmentDesign, hem: float, wearer: Measurements) -> Iterator[Ring]:
+    """The cloth of a straight shirt at the wearer's hips, if its hem hangs lower, ``hem`` cm below the waist."""
     garment = design.meta.upper.garment if design.meta.upper else None
-    if not isinstance(garment, Shirt) or garment.fitted or hem <= size.hips_line:
+    if not isinstance(garment, Shirt) or garment.fitted or hem <= wearer.hips_line:
         return
-    share = (size.waist_line + size.hips_line) / (size.waist_line + hem)  # of the side, from the shoulder down
+    # Of the side, from the shoulder down.
+    share = (wearer.waist_line + wearer.hips_line) / (wearer.waist_line + hem)
     halves = [half[0] for half in design.halves()]
     widths = [0.5 * size.bust * half.width * (1.0 + share * (half.flare - 1.0)) for half in halves]
     cloth = sum(widths) * (2 / len(widths))
-    yield Ring("a shirt", cloth, size.hips, WIDER_HEM)
+    yield Ring("a shirt", cloth, wearer.hips, WIDER_HEM)
 
 
-def _hung(size: Measurements, design: GarmentDesign) -> list[tuple[Component, float]]:
-    """The parts from the top down, with the depth of their lower ends below the waist [cm].
+def _hung(size: Measurements, design: GarmentDesign, wearer: Measurements) -> list[tuple[Component, float]]:
+    """The parts from the top down, with the depth of their lower ends below the wearer's waist [cm].
 
     Each part is hung under the part above it; the first hangs where it is drawn.
     A bottom has depth NaN: no ring depends on the depth of its hem.
     """
-    meta, rise = design.meta, bottom_rise(design)
+    meta = design.meta
     if meta.upper:
-        hem = meta.upper.garment.length(size, design) - size.waist_line
+        hem = meta.upper.garment.length(size, design) - wearer.waist_line
         depths = [0.0, hem if meta.upper.garment.at_waist else hem + SHIRT_SINKS]
     else:
-        top = band_rise(design.waistband, rise) + design.waistband.width if meta.wb else rise
-        depths = [(1 - top) * size.hips_line]
+        depths = [_top_depth(wearer, design)]
     if meta.wb:
         depths.append(depths[-1] + design.waistband.width * size.hips_line)
     if meta.bottom:
         depths.append(nan)
     return list(zip(parts(size, design), depths[1:], strict=True))
+
+
+def _top_depth(wearer: Measurements, design: GarmentDesign) -> float:
+    """Depth of the top of a garment without upper below the waist [cm]."""
+    rise = bottom_rise(design)
+    top = band_rise(design.waistband, rise) + design.waistband.width if design.meta.wb else rise
+    return (1 - top) * wearer.hips_line
 
 
 GRAVITY = 9.81  # m/s²
