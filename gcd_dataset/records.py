@@ -8,7 +8,7 @@ A record holds read-only views of its arrays; records compare by value.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum, StrEnum
-from math import cos, sin
+from math import cos, nan, sin
 from typing import Any, TypeVar
 
 import numpy as np
@@ -26,6 +26,7 @@ __all__ = [
     "BodyShape",
     "BoxMesh",
     "Drape",
+    "Ease",
     "Edge",
     "EdgeRef",
     "EdgeRole",
@@ -425,6 +426,30 @@ class Drape(Record):
     """Where a garment lies that slid off or fell, with heights [cm], or why it was refused; not stored in data sets."""
 
 
+GIRTHS = (
+    "neck", "bust", "underbust", "waist", "hips", "thigh", "knee", "calf", "upper_arm", "elbow", "wrist",
+)  # fmt: skip
+LENGTHS = ("back", "sleeve", "outseam", "inseam")
+EASE = (*GIRTHS, *LENGTHS)
+"""The girths and lengths of ``Sample.ease``."""
+
+
+@dataclass(frozen=True)
+class Ease:
+    """A girth or length of a garment and of its wearer [cm]; NaN: no cloth goes round, or a measure is missing."""
+
+    cloth: float = nan
+    """As cut: along the panels, at the place where the pattern has it."""
+    body: float = nan
+    worn: float = nan
+    """As worn: along the panels, without stretch, at the place where the draped garment has it. NaN for lengths."""
+
+    @property
+    def ease(self) -> float:
+        """Cloth as cut beyond the body; below 0 the cloth must stretch."""
+        return self.cloth - self.body
+
+
 # -------------------------------------------------------------------------------------------------------------- sample
 
 
@@ -514,6 +539,8 @@ class Sample(Record):
 
     The design decides them: ``levels-skirt.level_ruffle`` is the ratio of each seam between two levels.
     """
+    ease: Mapping[str, Ease] = field(default_factory=dict)
+    """Girths and lengths of cloth and wearer, by the names in ``EASE``; empty unless the recipe asks for them."""
     tags: tuple[str, ...] = ()
     """The tailor's names for the style, words of ``gcd_dataset.generator.garments.TAGS``; empty if unknown."""
     caption: str | None = None

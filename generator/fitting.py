@@ -2,10 +2,11 @@
 
 import json
 import logging
+import math
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -23,11 +24,12 @@ from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.dressing import Dressing, dress, has_legs
+from gcd_dataset.generator.ease import ease_of
 from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, Reject, check_design
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.generator.svg import pattern_svg
-from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Outcome, Pattern
+from gcd_dataset.records import Body, BoxMesh, Drape, Ease, Measurements, Outcome, Pattern
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
 
@@ -47,13 +49,15 @@ class Fitting:
     """One sentence for each value that the file lacks: the assumed value and the reason."""
     box_mesh: BoxMesh
     drape: Drape
+    ease: Mapping[str, Ease]
+    """See ``ease_of``."""
     mesh_seconds: float
     drape_seconds: float
     """Time of its batch, divided by the number of garments in it."""
 
     @property
     def row(self) -> dict[str, Any]:
-        """The entry of a report: number of vertices, outcome, frames, crossings, stretch and times."""
+        """The entry of a report: number of vertices, outcome, frames, crossings, stretch, times and ease."""
         return {
             "pattern": self.pattern.name,
             "vertices": len(self.box_mesh.vertices),
@@ -67,7 +71,21 @@ class Fitting:
             "stretch_p99": round(self.drape.stretch_p99, 4),
             "mesh_seconds": round(self.mesh_seconds, 3),
             "drape_seconds": round(self.drape_seconds, 3),
+            "fit": {name: _figures(ease) for name, ease in self.ease.items()},
         }
+
+    def ease_lines(self) -> Iterator[str]:
+        """A table of the girths and lengths that the garment has [cm]."""
+        yield f"{'[cm]':10}{'cloth':>8}{'body':>8}{'ease':>8}{'worn':>8}"
+        for name, ease in self.ease.items():
+            columns = (ease.cloth, ease.body, ease.ease, ease.worn)
+            if math.isfinite(ease.cloth) or math.isfinite(ease.worn):
+                yield f"{name:10}" + "".join(f"{x:8.1f}" if math.isfinite(x) else f"{'':8}" for x in columns)
+
+
+def _figures(ease: Ease) -> dict[str, float | None]:
+    """Cloth, body and cloth as worn as JSON values, which lack NaN."""
+    return {name: value if math.isfinite(value) else None for name, value in asdict(ease).items()}
 
 
 @dataclass(frozen=True)
@@ -173,7 +191,8 @@ def _work(
 
     def finish(replies: Sequence[DrapeReply]) -> Fitting:
         [reply] = replies
-        return Fitting(dressing.pattern, body, dressing.assumed, mesh, reply.drape, seconds, reply.seconds)
+        ease = ease_of(dressing.pattern, mesh, body, size, reply.drape.vertices)
+        return Fitting(dressing.pattern, body, dressing.assumed, mesh, reply.drape, ease, seconds, reply.seconds)
 
     return DrapeWork([job], finish)
 

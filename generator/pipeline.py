@@ -20,6 +20,7 @@ from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.captions import captions_text
 from gcd_dataset.generator.drawing import jpeg_bytes
+from gcd_dataset.generator.ease import ease_of
 from gcd_dataset.generator.garments import GarmentDesign, Reject, attempted_design, design_to_dict, garment_tags, try_on
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.quality import grade_of, sample_surface, strain_of
@@ -30,6 +31,7 @@ from gcd_dataset.records import (
     BodyShape,
     BoxMesh,
     Drape,
+    Ease,
     Measurements,
     NamedFabric,
     Outcome,
@@ -296,6 +298,10 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         drape = replace(reply.drape, strain=strain_of(mesh, reply.drape.vertices))
     if config.captions:
         caption = captions_text(dressed.size, design.design, dressed.pattern, seed=design.seed, index=index)
+    ease: Mapping[str, Ease] = {}
+    if config.ease and mesh is not None:
+        worn = None if drape is None else drape.vertices
+        ease = ease_of(dressed.pattern, mesh, dressed.body, dressed.size, worn)
     front, back = (None, None) if reply is None or reply.pictures is None else map(jpeg_bytes, reply.pictures)
     return Sample(
         key=sample_key(index),
@@ -321,6 +327,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         back=back,
         views=views,
         gathers=dressed.pattern.gather_ratios(),
+        ease=ease,
         tags=garment_tags(dressed.size, design.design, dressed.pattern),
         fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),

@@ -94,6 +94,9 @@ class MakeConfig:
     captions: Annotated[
         bool, Option("describe each garment in English at three levels of detail, in the member caption.txt")
     ] = False
+    ease: Annotated[
+        bool, Option("measure girths and lengths of cloth and wearer, as cut and as worn, for fit in meta.json")
+    ] = False
     views: Annotated[
         int,
         Option("pictures of each garment from drawn cameras, in drawn cloth, light and place, besides front and back"),
@@ -121,6 +124,8 @@ class MakeConfig:
             raise ConfigError(f"bodies_each is {self.bodies_each}, but there is one neutral body: give 1")
         if self.views and self.stage != "drape":
             raise ConfigError(f"views is {self.views}, but stage {self.stage} drapes nothing: give stage drape, or 0")
+        if self.ease and self.stage == "pattern":
+            raise ConfigError("ease is measured on the mesh, and stage pattern makes none: give stage mesh or drape")
 
     @property
     def wearers(self) -> int:
@@ -142,6 +147,7 @@ class MakeOptions(TypedDict, total=False):
     max_attempts: int
     fabric: str
     captions: bool
+    ease: bool
     views: int
     view_size: int
 
@@ -159,7 +165,8 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
     recipe["design"] = config.design.to_dict()
     if not config.views:
         del recipe["view_size"]
-    for name, usual in {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0, "captions": False, "views": 0}.items():
+    later = {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0, "captions": False, "ease": False, "views": 0}
+    for name, usual in later.items():
         if recipe[name] == usual:  # omitted, so that the hash of recipes older than these options stays the same
             del recipe[name]
     recipe["device"] = device_kind(config) if config.stage == "drape" else "cpu"

@@ -129,6 +129,8 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
         if drape.outcome is not Outcome.SETTLED:
             print(f"  {drape.reason}{': ' if drape.reason else ''}{drape.outcome.value}")
             failed = failed or not options.allow_unsettled
+        if options.verb == "fit":
+            print(*(f"  {line}" for line in fitting.ease_lines()), sep="\n")
     print(f"{folder}: meshes, pictures and report.json")
     return int(failed)
 

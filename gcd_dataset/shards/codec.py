@@ -31,6 +31,7 @@ from gcd_dataset.records import (
     BodyShape,
     BoxMesh,
     Drape,
+    Ease,
     Grade,
     Measurements,
     NamedFabric,
@@ -64,6 +65,7 @@ from gcd_dataset.shards.meta import (
     COUNTS,
     NO_DRAPE,
     NO_FABRIC,
+    NO_LENGTH,
     NO_POSE,
     NO_REDRAW,
     NO_REJECT,
@@ -316,9 +318,14 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         if fabric is None
         else {"name": fabric.name, "parameters": json_text(dict(fabric.parameters))},
         "gathers": list(map(float, sample.gathers)) or [-1.0],
+        **({"fit": {name: _fit_entry(ease) for name, ease in sample.ease.items()}} if sample.ease else {}),
         "tags": list(sample.tags) or [""],
         "source": provenance.source,
     }
+
+
+def _fit_entry(ease: Ease) -> list[float]:
+    return [float(value) if math.isfinite(value) else NO_LENGTH for value in (ease.cloth, ease.body, ease.worn)]
 
 
 # ------------------------------------------------------------------------------------------------------------- decoding
@@ -410,6 +417,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             grade=Grade(meta["grade"]) if meta["grade"] else None,
             fabric=None if meta["fabric"] is None else NamedFabric(**meta["fabric"]),
             gathers=tuple(meta["gathers"]),
+            ease={name: Ease(**_known(figures)) for name, figures in meta.get("fit", {}).items()},
             tags=tuple(meta["tags"]),
             caption=field.get("caption"),
             views=_views(pictures, field),
@@ -645,6 +653,10 @@ def _provenance(meta: Mapping[str, Any], rejects: Sequence[Mapping[str, Any]]) -
         ),
         body_name=meta["body"],
     )
+
+
+def _known(figures: Mapping[str, float | None]) -> dict[str, float]:
+    return {name: value for name, value in figures.items() if value is not None}
 
 
 def _mesh(field: Mapping[str, Any], pattern: Pattern) -> BoxMesh:

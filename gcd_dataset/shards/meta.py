@@ -37,6 +37,8 @@ garments              JSON type  holds                                          
 ``grade``             text       ``clean``, ``paper`` or ``failed``  (*)                          ``""``
 ``fabric``            object     ``name`` (text), ``parameters`` (JSON text)                      ``""``, ``"{}"``
 ``gathers``           floats     left edge / right edge in length, for each seam  (*)             ``[-1.0]``
+``fit``               object     for each of ``records.EASE`` 3 floats [cm]: cloth as cut, body,   -1.0
+                                 cloth as worn; a key only of recipes with ``ease``  (*)
 ``tags``              texts      names of the style: ``generator.garments.TAGS``  (*)             ``[""]``
 ``source``            text       publication that the garment comes from                          ``""``
 ``crc32``             object     CRC-32 of every other member, ints
@@ -53,12 +55,13 @@ import json
 import math
 import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.jsonfile import found, loads
-from gcd_dataset.records import Rejected
+from gcd_dataset.records import EASE, Ease, Rejected
 from gcd_dataset.shards.layout import LARGEST_JSON, META, SCHEMA, Bytes, key_of
 
 
@@ -82,6 +85,7 @@ STRETCHES = ("stretch_median", "stretch_p99")
 NO_DRAPE: Mapping[str, Any] = {"outcome": "", "frames": 0} | dict.fromkeys(COUNTS, -1) | dict.fromkeys(STRETCHES, -1.0)
 NO_STRAIN: Mapping[str, Any] = {"principal": [-1.0, -1.0], "panels": [[-1.0, -1.0]]}
 NO_FABRIC: Mapping[str, Any] = {"name": "", "parameters": "{}"}
+NO_LENGTH = -1.0
 
 
 # ------------------------------------------------------------------------------------------------------------- writing
@@ -145,6 +149,8 @@ def read_meta(data: Bytes) -> dict[str, Any]:
             raise ShardError(f"{name} is missing")
         if not _has_form(meta[name], form):
             raise ShardError(f"{name} is {found(meta[name])}")
+    if "fit" in meta and not _has_form(meta["fit"], _FIT):
+        raise ShardError(f"fit is {found(meta['fit'])}")
     loaded = {name: value for name, value in meta.items() if name != SEAL}
     loaded |= {name: _parsed(meta[name]) for name in ("versions", "recipe")}
     if not all(isinstance(version, str) for version in loaded["versions"].values()):
@@ -166,7 +172,12 @@ def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
         "fabric": fabric | {"parameters": _parsed(fabric["parameters"])} if fabric["name"] else None,
         "gathers": [ratio for ratio in meta["gathers"] if ratio != -1.0],
         "tags": [word for word in meta["tags"] if word],
-    }
+    } | ({"fit": {name: _lengths(meta["fit"][name]) for name in EASE}} if "fit" in meta else {})
+
+
+def _lengths(figures: Sequence[float]) -> dict[str, float | None]:
+    names = [entry.name for entry in fields(Ease)]
+    return {name: None if figure == NO_LENGTH else figure for name, figure in zip(names, figures, strict=True)}
 
 
 def _parsed(text: str) -> dict[str, Any]:
@@ -244,6 +255,7 @@ _ORIGIN: Mapping[str, Any] = {
 }
 PERSON: Mapping[str, Any] = {**_ORIGIN, "name": str, "arm_angle": _is_number}
 _PAIR = (_is_number, _is_number)
+_FIT = dict.fromkeys(EASE, (_is_number, _is_number, _is_number))
 GARMENT: Mapping[str, Any] = {
     **_ORIGIN,
     "attempts": is_count,
