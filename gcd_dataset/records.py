@@ -31,6 +31,7 @@ __all__ = [
     "EdgeRef",
     "EdgeRole",
     "Grade",
+    "Maps",
     "Measurements",
     "NamedFabric",
     "Outcome",
@@ -450,6 +451,21 @@ class Ease:
         return self.cloth - self.body
 
 
+@dataclass(frozen=True, eq=False)
+class Maps(Record):
+    """Figures of a drape by vertex; NaN for a diverged one. Shards store them as float16."""
+
+    stretch: Float[np.ndarray, "v 2"]
+    """Largest and smallest principal stretch, mean over the faces of the vertex by area; 1 is unstretched."""
+    gap: Float[np.ndarray, " v"]
+    """Signed distance to the nearest point of the skin [cm], negative inside."""
+    pressure: Float[np.ndarray, " v"]
+    """Pressure on the skin of the fabric's own tension and weight [kPa]; 0 off the skin."""
+    softened: float
+    """Stiffness of the fabric over that in the drape, see ``Fabric.softened``: where cloth hangs by its weight instead
+    of being held by the body, the pressure is too high by up to this factor. 1: not at all."""
+
+
 # -------------------------------------------------------------------------------------------------------------- sample
 
 
@@ -525,6 +541,8 @@ class Sample(Record):
     shape: BodyShape | None = None
     box_mesh: BoxMesh | None = None
     drape: Drape | None = None
+    maps: Maps | None = None
+    """``None`` unless the recipe asks for them."""
     points: Float[np.ndarray, "n 6"] | None = None
     """Surface points and normals [cm, 1]."""
     front: bytes | None = None

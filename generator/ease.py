@@ -11,6 +11,7 @@ if no cloth goes round the right one. A skirt goes round both legs, in a level p
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -181,7 +182,7 @@ class _Plane:
     lower: float = 0.0
     """How far down cloth is looked for that goes all round: below an armhole, or on a body wider than the band [cm]."""
 
-    @property
+    @cached_property
     def frame(self) -> Float[np.ndarray, "3 3"]:
         """Columns: the normal, and two unit vectors in the plane."""
         across = _unit(np.cross(self.normal, np.eye(3)[np.abs(self.normal).argmin()]))
@@ -333,8 +334,13 @@ class _Cloth:
 
     def section(self, plane: _Plane, *, on_arms: bool) -> Float[np.ndarray, "s 2 6"]:
         """The section with a plane: segments with the coordinates in its frame, in the panel, and the panel's row."""
-        in_frame = (self._corners - plane.centre) @ plane.frame
-        return section(np.concatenate([in_frame, self._flat], axis=1), self._faces[on_arms], 0, 0.0)
+        faces, height = self._faces[on_arms], self._corners @ plane.normal - plane.centre @ plane.normal
+        first, second, third = (height > 0.0)[faces].T
+        rows = faces[(first != second) | (first != third)].ravel()
+        in_frame = (self._corners[rows] - plane.centre) @ plane.frame
+        in_frame[:, 0] = height[rows]
+        cut = np.concatenate([in_frame, self._flat[rows]], axis=1)
+        return section(cut, np.arange(len(rows)).reshape(-1, 3), 0, 0.0)
 
     def girth(self, plane: _Plane) -> float:
         """Girth of the cloth in a plane [cm], NaN where no cloth goes round.

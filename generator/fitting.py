@@ -1,5 +1,6 @@
 """Fittings: patterns read from files and draped on a body, written as pictures, mesh files and a report."""
 
+import io
 import json
 import logging
 import math
@@ -18,7 +19,7 @@ from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.errors import DrapeError, MeshError, PatternError, SpecError
 from gcd_dataset.faults import Severity, require_valid
 from gcd_dataset.files import make_folder, safe_name, write_whole
-from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
+from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, maps_of
 from gcd_dataset.generator.drapers import DrapeReply
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
@@ -29,7 +30,7 @@ from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, Reject, 
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.generator.svg import pattern_svg
-from gcd_dataset.records import Body, BoxMesh, Drape, Ease, Measurements, Outcome, Pattern
+from gcd_dataset.records import Body, BoxMesh, Drape, Ease, Maps, Measurements, Outcome, Pattern
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
 
@@ -54,6 +55,7 @@ class Fitting:
     mesh_seconds: float
     drape_seconds: float
     """Time of its batch, divided by the number of garments in it."""
+    maps: Maps | None = None
 
     @property
     def row(self) -> dict[str, Any]:
@@ -158,22 +160,28 @@ def drape_patterns(
     fabric: Fabric = FABRICS[DEFAULT_FABRIC],
     resolution: float = 1.0,
     device: str = "auto",
+    maps: bool = False,
 ) -> Iterator[Fitting | Refusal]:
     """Drape each pattern on a body, in batches as large as suits the device; yields the fittings in order.
 
     ``wearer(legs_apart)`` returns the body and its measures; legs are apart for garments with legs, so that the thighs
     do not touch. Values missing from a file are assumed (see ``dress``), logged and recorded in the ``Fitting``.
-    ``resolution`` is the length of mesh edges [cm]. A pattern that cannot be placed or meshed costs no other: it yields
-    a ``Refusal``, as do those of ``read_patterns``. Raises ``BodyError`` for an unusable body, ``ConfigError`` for a
-    missing device.
+    ``resolution`` is the length of mesh edges [cm]; ``maps``: compute ``Fitting.maps``. A pattern that cannot be placed
+    or meshed costs no other: it yields a ``Refusal``, as do those of ``read_patterns``. Raises ``BodyError`` for an
+    unusable body, ``ConfigError`` for a missing device.
     """
-    work = (_work(pattern, wearer, fabric, resolution) for pattern in patterns)
+    work = (_work(pattern, wearer, fabric, resolution, maps=maps) for pattern in patterns)
     with LocalDraper(device) as draper:
         yield from in_order(work, draper, ahead=draper.at_once, at_once=draper.at_once)
 
 
 def _work(
-    pattern: Pattern | Refusal, wearer: Callable[[bool], tuple[Body, Measurements]], fabric: Fabric, resolution: float
+    pattern: Pattern | Refusal,
+    wearer: Callable[[bool], tuple[Body, Measurements]],
+    fabric: Fabric,
+    resolution: float,
+    *,
+    maps: bool,
 ) -> DrapeWork[Fitting | Refusal]:
     """The drape job of a pattern, and the function that makes a ``Fitting`` of the reply; without a job a refusal."""
     if isinstance(pattern, Refusal):
@@ -192,7 +200,8 @@ def _work(
     def finish(replies: Sequence[DrapeReply]) -> Fitting:
         [reply] = replies
         ease = ease_of(dressing.pattern, mesh, body, size, reply.drape.vertices)
-        return Fitting(dressing.pattern, body, dressing.assumed, mesh, reply.drape, ease, seconds, reply.seconds)
+        found = maps_of(job, reply.drape) if maps else None
+        return Fitting(dressing.pattern, body, dressing.assumed, mesh, reply.drape, ease, seconds, reply.seconds, found)
 
     return DrapeWork([job], finish)
 
@@ -214,7 +223,8 @@ def _dress(
 def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: str = "auto") -> None:
     """Write pictures of a fitting to ``folder``, and unless it diverged OBJ with MTL, PLY, and GLB if ``glb``.
 
-    GLB includes the body; see ``gcd_dataset.exports``. Raises ``OutputError``.
+    GLB includes the body; see ``gcd_dataset.exports``. Maps, if it has them, become an NPZ file with the fields of
+    ``Maps``, in the order of the PLY's vertices. Raises ``OutputError``.
     """
     from gcd_dataset import exports
 
@@ -223,6 +233,10 @@ def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: 
     front, back = render_garment(vertices, mesh, fitting.body, size=PICTURE_SIZE, device=device)
     for side, picture in {"front": front, "back": back, "pattern": draw_pattern(fitting.pattern)}.items():
         write_whole(folder / f"{name}_{side}.png", png_bytes(picture))
+    if fitting.maps is not None:
+        content = io.BytesIO()
+        np.savez(content, **vars(fitting.maps))
+        write_whole(folder / f"{name}_maps.npz", content.getvalue())
     if np.isfinite(vertices).all():
         exports.obj(fitting, folder / f"{name}.obj", body=False)
         exports.ply(fitting, folder / f"{name}.ply")

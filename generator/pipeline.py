@@ -298,7 +298,12 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         drape = replace(reply.drape, strain=strain_of(mesh, reply.drape.vertices))
     if config.captions:
         caption = captions_text(dressed.size, design.design, dressed.pattern, seed=design.seed, index=index)
-    ease: Mapping[str, Ease] = {}
+    maps, ease = None, dict[str, Ease]()
+    if config.maps and mesh is not None and drape is not None:
+        from gcd_dataset.generator.drape import DrapeJob, maps_of
+
+        fabric = sample_fabric(design.seed, index, config.fabric)
+        maps = maps_of(DrapeJob(mesh, dressed.body, dressed.size, fabric), drape)
     if config.ease and mesh is not None:
         worn = None if drape is None else drape.vertices
         ease = ease_of(dressed.pattern, mesh, dressed.body, dressed.size, worn)
@@ -322,6 +327,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         shape=dressed.shape,
         box_mesh=mesh,
         drape=drape,
+        maps=maps,
         points=points,
         front=front,
         back=back,

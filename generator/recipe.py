@@ -97,6 +97,9 @@ class MakeConfig:
     ease: Annotated[
         bool, Option("measure girths and lengths of cloth and wearer, as cut and as worn, for fit in meta.json")
     ] = False
+    maps: Annotated[
+        bool, Option("stretch, gap to the skin and pressure on it, for each vertex, in the member maps.z")
+    ] = False
     views: Annotated[
         int,
         Option("pictures of each garment from drawn cameras, in drawn cloth, light and place, besides front and back"),
@@ -124,6 +127,8 @@ class MakeConfig:
             raise ConfigError(f"bodies_each is {self.bodies_each}, but there is one neutral body: give 1")
         if self.views and self.stage != "drape":
             raise ConfigError(f"views is {self.views}, but stage {self.stage} drapes nothing: give stage drape, or 0")
+        if self.maps and self.stage != "drape":
+            raise ConfigError(f"maps are of a drape, and stage {self.stage} drapes nothing: give stage drape")
         if self.ease and self.stage == "pattern":
             raise ConfigError("ease is measured on the mesh, and stage pattern makes none: give stage mesh or drape")
 
@@ -148,6 +153,7 @@ class MakeOptions(TypedDict, total=False):
     fabric: str
     captions: bool
     ease: bool
+    maps: bool
     views: int
     view_size: int
 
@@ -165,8 +171,8 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
     recipe["design"] = config.design.to_dict()
     if not config.views:
         del recipe["view_size"]
-    later = {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0, "captions": False, "ease": False, "views": 0}
-    for name, usual in later.items():
+    later = {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0, "views": 0}
+    for name, usual in (later | dict.fromkeys(("captions", "ease", "maps"), False)).items():
         if recipe[name] == usual:  # omitted, so that the hash of recipes older than these options stays the same
             del recipe[name]
     recipe["device"] = device_kind(config) if config.stage == "drape" else "cpu"
@@ -176,7 +182,7 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
 def layout_of_samples(config: MakeConfig) -> Layout:
     """The members of a sample of this config."""
     sides = config.stage == "drape" and config.picture > 0
-    return garments_layout(caption=config.captions, views=config.views, sides=sides)
+    return garments_layout(caption=config.captions, maps=config.maps, views=config.views, sides=sides)
 
 
 def device_kind(config: MakeConfig) -> str:

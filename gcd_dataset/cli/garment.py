@@ -53,6 +53,9 @@ def _add_draping(drape: Parser) -> None:
         "--glb", action="store_true", help="also the garment on its body as GLB, as gcd export writes it"
     )
     drape.add_argument(
+        "--maps", action="store_true", help="also stretch, gap to the skin and pressure on it, by vertex, as NPZ"
+    )
+    drape.add_argument(
         "--allow-unsettled",
         action="store_true",
         help="exit 0 even if a garment did not settle: fell, slid off, still moves, crosses itself or the body "
@@ -104,7 +107,7 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
     fittings: list[Fitting | Refusal] = []
     log_drape_time(len(options.spec), device, resolution)
     try:
-        done = drape_patterns(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
+        done = drape_patterns(patterns, wearer, fabric=fabric, resolution=resolution, device=device, maps=options.maps)
         for fitting in tqdm(done, total=len(options.spec), unit="garment", disable=options.quiet):
             if isinstance(fitting, Fitting):
                 write_fitting(fitting, folder, glb=options.glb, device=device)

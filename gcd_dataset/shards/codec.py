@@ -33,6 +33,7 @@ from gcd_dataset.records import (
     Drape,
     Ease,
     Grade,
+    Maps,
     Measurements,
     NamedFabric,
     Outcome,
@@ -49,6 +50,7 @@ from gcd_dataset.shards.layout import (
     CAPTION,
     JOINT,
     LARGEST_SAMPLE,
+    MAPS,
     MEMBERS,
     MOST_PIXELS,
     MOST_VIEWS,
@@ -100,7 +102,7 @@ IDS = frozenset({"faces", "panel_id", "labels", "seams", "corners", "uv_vertex",
 WIDTHS: Mapping[str, tuple[int, ...]] = {
     "panels": (len(PanelColumn),), "edges": (len(EdgeColumn),), "stitches": (len(StitchColumn),), "body": (),
     "faces": (3,), "uv": (2,), "panel_id": (), "labels": (2,), "seams": (2,), "corners": (3,), "uv_vertex": (),
-    "box": (3,), "verts": (3,), "points": (6,),
+    "box": (3,), "verts": (3,), "points": (6,), "stretch": (2,), "gap": (), "pressure": (),
 }  # fmt: skip
 """Field to the shape of one row of its array."""
 
@@ -204,7 +206,13 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
         "mesh.z": pack(_mesh_arrays(mesh or NO_MESH, tensor), MESH_CODINGS),
         "verts.z": pack({"verts": vertices}, {"verts": POSITION}),
         "points.z": _points(sample.points),
+        **({} if sample.maps is None else {MAPS: _maps(sample.maps)}),
     }
+
+
+def _maps(maps: Maps) -> bytes:
+    with np.errstate(over="ignore"):
+        return pack({field: getattr(maps, field).astype(np.float16) for field in ARRAYS[MAPS]})
 
 
 def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
@@ -319,6 +327,7 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         else {"name": fabric.name, "parameters": json_text(dict(fabric.parameters))},
         "gathers": list(map(float, sample.gathers)) or [-1.0],
         **({"fit": {name: _fit_entry(ease) for name, ease in sample.ease.items()}} if sample.ease else {}),
+        **({} if sample.maps is None else {"softened": float(sample.maps.softened)}),
         "tags": list(sample.tags) or [""],
         "source": provenance.source,
     }
@@ -413,6 +422,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             shape=None if meta["pose"] is None else BodyShape(field["body"].astype(float), **meta["pose"]),
             box_mesh=None if meta["vertex_labels"] is None else _mesh(field, pattern),
             drape=None if meta["drape"] is None else _drape(field),
+            maps=_read_maps(field),
             points=field["points"].astype(float) if len(field["points"]) else None,
             grade=Grade(meta["grade"]) if meta["grade"] else None,
             fabric=None if meta["fabric"] is None else NamedFabric(**meta["fabric"]),
@@ -451,7 +461,8 @@ def decode_field(field: str, members: Mapping[str, Bytes]) -> Any:
 def _decoded(members: Mapping[str, Bytes], fields: Sequence[str]) -> dict[str, Any]:
     arrays: dict[str, np.ndarray] = {}
     sections = {section for field in fields for section in SECTIONS.get(field, ())}
-    for member in members_of([field for field in fields if field in SECTIONS]):
+    stored = {field: member_of(field) for field in fields if field in SECTIONS}
+    for member in members_of(stored, stored):
         with _reading(member):
             arrays |= unpack(members[member], sections)
     found = {}
@@ -481,7 +492,7 @@ def _array(field: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
         elif section not in arrays and section != field:
             raise ShardError(f"section {section} is missing")
     if field in arrays:
-        return arrays[field]
+        return arrays[field].astype(np.float32) if field in ARRAYS[MAPS] else arrays[field]
     if derive is None:
         raise ShardError(f"section {field} is missing")
     return derive(arrays)
@@ -653,6 +664,13 @@ def _provenance(meta: Mapping[str, Any], rejects: Sequence[Mapping[str, Any]]) -
         ),
         body_name=meta["body"],
     )
+
+
+def _read_maps(field: Mapping[str, Any]) -> Maps | None:
+    if ARRAYS[MAPS][0] not in field:
+        return None
+    stretch, gap, pressure = (field[name].astype(float) for name in ARRAYS[MAPS])
+    return Maps(stretch, gap, pressure, field["meta"]["softened"])
 
 
 def _known(figures: Mapping[str, float | None]) -> dict[str, float]:

@@ -39,6 +39,9 @@ garments              JSON type  holds                                          
 ``gathers``           floats     left edge / right edge in length, for each seam  (*)             ``[-1.0]``
 ``fit``               object     for each of ``records.EASE`` 3 floats [cm]: cloth as cut, body,   -1.0
                                  cloth as worn; a key only of recipes with ``ease``  (*)
+``softened``          float      stiffness of the fabric over that in the drape, for
+                                 ``pressure``: ``records.Maps``; a key only of recipes with
+                                 ``maps``
 ``tags``              texts      names of the style: ``generator.garments.TAGS``  (*)             ``[""]``
 ``source``            text       publication that the garment comes from                          ``""``
 ``crc32``             object     CRC-32 of every other member, ints
@@ -151,6 +154,8 @@ def read_meta(data: Bytes) -> dict[str, Any]:
             raise ShardError(f"{name} is {found(meta[name])}")
     if "fit" in meta and not _has_form(meta["fit"], _FIT):
         raise ShardError(f"fit is {found(meta['fit'])}")
+    if not _is_number(meta.get("softened", 1.0)):
+        raise ShardError(f"softened is {found(meta['softened'])}")
     loaded = {name: value for name, value in meta.items() if name != SEAL}
     loaded |= {name: _parsed(meta[name]) for name in ("versions", "recipe")}
     if not all(isinstance(version, str) for version in loaded["versions"].values()):
