@@ -10,7 +10,8 @@ from gcd_dataset.lazy import lazy_names
 if TYPE_CHECKING:
     from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_body
     from gcd_dataset.generator.body.by_name import make_person
-    from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch, fabric_named
+    from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch, fabric_named, maps_of
+    from gcd_dataset.generator.ease import ease_of
     from gcd_dataset.generator.garments import GarmentDesign, read_design, sample_design
     from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
     from gcd_dataset.generator.maker import make, produce
@@ -32,11 +33,13 @@ __all__ = [
     "drape_all",
     "drape_batch",
     "draw_shape",
+    "ease_of",
     "fabric_named",
     "fit",
     "fit_shape",
     "make",
     "make_person",
+    "maps_of",
     "measure",
     "named_body",
     "produce",

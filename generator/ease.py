@@ -3,7 +3,7 @@
 Every figure of cloth is the length of a section with a plane, measured in the panels' planes: each crossed triangle
 contributes the length of the cut in ``BoxMesh.uv``, so neither stretch nor folds count. As worn, the plane cuts the
 drape. As cut, it cuts the panels where they are placed before sewing, moved in the frontal plane until their seams meet
-as well as rigid panels can. A panel is then cut straight across, which is shorter than the arc of a circle skirt.
+as well as rigid panels can, and skirts at one distance from their upper edge.
 
 Planes are level at the trunk, and normal to the axis of the limb at arms and legs: of the right one, or of the left one
 if no cloth goes round the right one. A skirt goes round both legs, in a level plane.
@@ -16,6 +16,7 @@ from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial.distance import cdist
 
 from gcd_dataset.generator.body.limbs import FRONT, UP, Limb, leg_of, limbs_of
 from gcd_dataset.generator.body.section import girth, loops, section
@@ -88,12 +89,14 @@ def hung(mesh: BoxMesh, pattern: Pattern, size: Measurements) -> Float[np.ndarra
     shares = np.eye(len(pattern.panels))[panel].T  # of each panel in the place of each row
     apart = np.stack([share - joined(share) for share in shares], axis=1)
     seams = count[ends] > 1
+    anchor = _anchor(mesh, sleeves)
     for axis in (0, 1):
         gaps = placed[:, axis] - joined(placed[:, axis])
         moves = np.linalg.lstsq(apart[seams], -gaps[seams], rcond=None)[0]
-        placed[:, axis] += (moves - moves[_anchor(mesh, sleeves)])[panel]
+        placed[:, axis] += (moves - moves[anchor])[panel]
     placed = np.stack([joined(column) for column in placed.T], axis=1)
-    placed[:, 1] = _heights(mesh, placed, sleeves[panel], size)
+    placed[:, 1] = _heights(mesh, placed, panel == anchor, size)
+    placed[:, 1] = joined(_below_top(mesh, placed[:, 1]))
     for side in (-1.0, 1.0):
         own = sleeves[panel] & (side * placed[:, 0] > 0.0)
         shoulders = ~sleeves[panel] & np.isin(mesh.uv_vertex, mesh.uv_vertex[own])
@@ -112,7 +115,7 @@ def _anchor(mesh: BoxMesh, sleeves: np.ndarray) -> int:
 
 
 def _heights(
-    mesh: BoxMesh, placed: Float[np.ndarray, "c 3"], on_sleeves: np.ndarray, size: Measurements
+    mesh: BoxMesh, placed: Float[np.ndarray, "c 3"], on_anchor: np.ndarray, size: Measurements
 ) -> Float[np.ndarray, " c"]:
     """Heights of the rows of ``mesh.uv`` on the body [cm]: moved up to hang from neck or armpits.
 
@@ -122,7 +125,7 @@ def _heights(
     nape, height = size.height - size.head_l, placed[:, 1]
     for labels in (NECKLINE, {EdgeRole.STRAPLESS_TOP}):
         held = np.concatenate([np.zeros(0, int), *(ids for label, ids in mesh.labels.items() if label in labels)])
-        rows = np.flatnonzero(np.isin(mesh.uv_vertex, held) & ~on_sleeves)
+        rows = np.flatnonzero(np.isin(mesh.uv_vertex, held) & on_anchor)
         if len(rows):
             beside, top, _ = placed[rows[height[rows].argmax()]]
             if labels is not NECKLINE:
@@ -132,6 +135,48 @@ def _heights(
             share = ((top - height) / size.waist_over_bust_line).clip(0.0, 1.0)
             return start - (top - height) + share * excess
     return height
+
+
+def _below_top(mesh: BoxMesh, heights: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
+    """The heights, in skirts those of the nearest place of the upper edge less the distance from it [cm].
+
+    So a section of a circle skirt is an arc. The upper edge of a skirt is sewn to the trunk's panels or labelled, that
+    of a tier or godet is sewn to the panels above.
+    """
+    panel, heights = _panel_of_rows(mesh), heights.copy()
+    waiting = {
+        row
+        for row, (name, label) in enumerate(zip(mesh.panel_names, mesh.panel_labels, strict=True))
+        if label == PanelRole.LEG and not is_trouser_leg(name)
+    }
+    top = np.zeros(len(mesh.vertices), bool)
+    top[np.asarray(mesh.labels.get(EdgeRole.LOWER_INTERFACE, ()), int)] = True
+    beside = np.unique(mesh.faces[top[mesh.faces].any(axis=1)])
+    top[beside[beside < mesh.n_seam_vertices]] = True  # the ends of the edge, on seams, have no label
+    known = np.full(len(mesh.vertices), np.nan)
+    for own in (~np.isin(panel, list(waiting)), top[mesh.uv_vertex]):
+        known[mesh.uv_vertex[own]] = heights[own]
+    sides = np.concatenate([mesh.corners[:, [k, (k + 1) % 3]] for k in range(3)])
+    while waiting:
+        upper = np.isfinite(known)[mesh.uv_vertex]
+        edges = sides[upper[sides].all(axis=1) & np.isin(panel[sides[:, 0]], list(waiting))]
+        found = waiting & set(panel[edges[:, 0]].tolist())
+        if not found:
+            break
+        for each in found:
+            ends, rows = edges[panel[edges[:, 0]] == each], np.flatnonzero(panel == each)
+            along = _sampled(mesh.uv[ends]), _sampled(known[mesh.uv_vertex[ends]][..., None])
+            heights[rows] = (along[1][:, 0] - cdist(mesh.uv[rows], along[0])).max(axis=1)
+        for each in found:
+            known[mesh.uv_vertex[panel == each]] = heights[panel == each]
+        waiting -= found
+    return heights
+
+
+def _sampled(ends: Float[np.ndarray, "e 2 d"]) -> Float[np.ndarray, "n d"]:
+    """Points along edges."""
+    share = np.linspace(0.0, 1.0, 9)[:, None, None]
+    return ((1 - share) * ends[:, 0] + share * ends[:, 1]).reshape(-1, ends.shape[2])
 
 
 def _panel_of_rows(mesh: BoxMesh) -> np.ndarray:
@@ -299,13 +344,14 @@ def _lines(planes: Mapping[str, list[_Plane]], mesh: BoxMesh, size: Measurements
     crotch, nape = float(planes["thigh"][-1].centre[1]) + BELOW_CROTCH, size.height - size.head_l
     sagittal, frontal = _Plane(centre, RIGHT), _Plane(centre, FRONT)
     found = {}
-    if NECKLINE & mesh.labels.keys():
+    has_legs = any(map(is_trouser_leg, mesh.panel_names))
+    if NECKLINE & mesh.labels.keys() and not has_legs:
         found["back"] = _Line(sagittal, lambda at: (at[:, 2] < centre[2]) & (at[:, 1] < nape + NEAR), size.waist_line)
     if PanelRole.LEG in mesh.panel_labels:
         found["outseam"] = _Line(
             frontal, lambda at: (at[:, 0] < leg[0]) & (at[:, 1] < centre[1] + NEAR), float(centre[1])
         )
-    if any(map(is_trouser_leg, mesh.panel_names)):
+    if has_legs:
         found["inseam"] = _Line(
             frontal, lambda at: (at[:, 0] > leg[0]) & (at[:, 0] < 0.0) & (at[:, 1] < crotch), crotch
         )

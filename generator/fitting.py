@@ -235,7 +235,7 @@ def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: 
         write_whole(folder / f"{name}_{side}.png", png_bytes(picture))
     if fitting.maps is not None:
         content = io.BytesIO()
-        np.savez(content, **vars(fitting.maps))
+        np.savez(content, **{name: np.float32(value) for name, value in vars(fitting.maps).items()})
         write_whole(folder / f"{name}_maps.npz", content.getvalue())
     if np.isfinite(vertices).all():
         exports.obj(fitting, folder / f"{name}.obj", body=False)

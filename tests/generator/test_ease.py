@@ -21,6 +21,7 @@ from gcd_dataset.generator.quality import principal_stretches
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import EASE, Body, BoxMesh, Ease, Measurements, Pattern
 from gcd_dataset.shards.codec import decode_sample, encode_sample
+from tests.generator.garments.measured import length, lengths
 
 BODIES = ("neutral", "male:2", "random:5")
 GARMENTS: Mapping[str, tuple[Mapping[str, Any], tuple[str, ...]]] = {
@@ -119,6 +120,17 @@ def test_cloth_as_worn_is_as_wide_as_its_pattern(garment: str) -> None:
             assert found[level].ease > 2.0
             assert found[level].worn == pytest.approx(found[level].cloth, abs=0.5)
         assert len(found) == len(EASE)
+
+
+def test_a_circle_skirt_widens_by_the_angle_that_it_is_cut_from(neutral: tuple[Body, Measurements]) -> None:
+    body, size = neutral
+    pattern = draw_garment(size, design_from_dict({"meta": {"upper": None, "wb": None, "bottom": "SkirtCircle"}}))
+    mesh = build_box_mesh(pattern, spacing=1.0)
+    found = ease_of(pattern, mesh, body, size)
+    depth = size.crotch_hip_diff + 2.0  # from the hips to the section of the thigh
+    inner, outer = (lengths(pattern, name) for name in ("top", "bottom"))
+    angle = (outer - inner) / length(pattern.panels[0], "left")
+    assert found["thigh"].cloth - found["hips"].cloth == pytest.approx(angle * depth, rel=0.02)
 
 
 def test_no_cloth_no_girth(neutral: tuple[Body, Measurements]) -> None:
