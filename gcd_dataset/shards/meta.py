@@ -147,15 +147,12 @@ def read_meta(data: Bytes) -> dict[str, Any]:
         raise ShardError(f"of schema {found(meta.get('schema'))}, but this reader knows {SCHEMA}: update gcd_dataset")
     _require_seal(data)
     forms = PERSON if "name" in meta else GARMENT
-    for name, form in forms.items():
+    for name in forms:
         if name not in meta:
             raise ShardError(f"{name} is missing")
-        if not _has_form(meta[name], form):
+    for name, form in (forms | SOMETIMES).items():
+        if name in meta and not _has_form(meta[name], form):
             raise ShardError(f"{name} is {found(meta[name])}")
-    if "fit" in meta and not _has_form(meta["fit"], _FIT):
-        raise ShardError(f"fit is {found(meta['fit'])}")
-    if not _is_number(meta.get("softened", 1.0)):
-        raise ShardError(f"softened is {found(meta['softened'])}")
     loaded = {name: value for name, value in meta.items() if name != SEAL}
     loaded |= {name: _parsed(meta[name]) for name in ("versions", "recipe")}
     if not all(isinstance(version, str) for version in loaded["versions"].values()):
@@ -260,7 +257,6 @@ _ORIGIN: Mapping[str, Any] = {
 }
 PERSON: Mapping[str, Any] = {**_ORIGIN, "name": str, "arm_angle": _is_number}
 _PAIR = (_is_number, _is_number)
-_FIT = dict.fromkeys(EASE, (_is_number, _is_number, _is_number))
 GARMENT: Mapping[str, Any] = {
     **_ORIGIN,
     "attempts": is_count,
@@ -283,3 +279,8 @@ GARMENT: Mapping[str, Any] = {
     "source": str,
 }
 """Key to the form of its value in the file."""
+SOMETIMES: Mapping[str, Any] = {
+    "fit": dict.fromkeys(EASE, (_is_number, _is_number, _is_number)),
+    "softened": _is_number,
+}
+"""The same of the keys that only some recipes have."""
