@@ -17,7 +17,7 @@ from jaxtyping import Complex
 from gcd_dataset.crossings import edge_hulls, find_crossings
 from gcd_dataset.curves import LINE, Arc, curve_length
 from gcd_dataset.errors import PatternError, shown
-from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
+from gcd_dataset.records import Closure, EdgeRef, Panel, Pattern, Seam
 
 __all__ = ["MOST_EDGES", "MOST_PANELS", "Fault", "Rule", "Severity", "check_pattern", "require_valid"]
 
@@ -73,6 +73,7 @@ class Rule(Enum):
     NO_SUCH_EDGE = "stitch to a missing edge"
     STITCHED_TWICE = "edge stitched twice"
     LABELS_DIFFER = "stitched edges have different labels"
+    CLOSURE = "closure that cannot be made"
     SHORT_EDGE = "edge under 0.5 cm"
     NARROW_DART = "dart under 0.5 cm"
     SMALL_PANEL = "panel too small to sew"
@@ -346,6 +347,7 @@ def _seam_faults(pattern: Pattern, lengths: dict[EdgeRef, float]) -> Iterator[Fa
                 figure = f"stitch {number} is one of {uses[side]}: split the edge, or drop a stitch"
                 yield Fault(Rule.STITCHED_TWICE, side.panel, side.edge, figure)
         if not missing:
+            yield from _closure_fault(number, seam)
             yield from _unlike_sides(number, seam, labels, lengths)
         if seam.left in lengths and seam.right in lengths:
             yield from _crosswise(number, seam, panels, corners)
@@ -389,6 +391,17 @@ def _listed(names: Collection[str]) -> str:
     """The first names, for a message."""
     first = ", ".join(shown(name) for name in islice(names, MOST_NAMES))
     return first if len(names) <= MOST_NAMES else f"{first} and {len(names) - MOST_NAMES} more"
+
+
+def _closure_fault(number: int, seam: Seam) -> Iterator[Fault]:
+    start, end = seam.closed
+    if seam.closure not in set(Closure):
+        figure = f"{shown(str(seam.closure))}: give one of {', '.join(Closure)}"
+    elif not 0.0 <= start <= end <= 1.0:
+        figure = f"closed from {start:g} to {end:g}: give two shares of its length, in ascending order from 0 to 1"
+    else:
+        return
+    yield Fault(Rule.CLOSURE, seam.left.panel, seam.left.edge, f"stitch {number}: {figure}")
 
 
 def _unlike_sides(

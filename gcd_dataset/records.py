@@ -25,6 +25,7 @@ __all__ = [
     "BodyPart",
     "BodyShape",
     "BoxMesh",
+    "Closure",
     "Drape",
     "Ease",
     "Edge",
@@ -243,6 +244,17 @@ class EdgeRef:
     edge: int
 
 
+class Closure(StrEnum):
+    """How the two edges of a seam are joined; the value is its word in files."""
+
+    SEWN = "sewn"
+    OPEN = "open"
+    """Not joined: the edges of a cardigan's fronts."""
+    ZIP = "zip"
+    BUTTONS = "buttons"
+    """The panel of ``left`` lies over that of ``right``; its edge is joined to the other edge all the same."""
+
+
 @dataclass(frozen=True, slots=True)
 class Seam:
     """Two edges sewn together.
@@ -256,6 +268,20 @@ class Seam:
     left: EdgeRef
     right: EdgeRef
     right_wrong: bool = False
+    closure: Closure | str = Closure.SEWN
+    """A word in a file that matches no closure stays a string."""
+    closed: tuple[float, float] = (0.0, 1.0)
+    """The part that is joined, from and to, as shares of the length from the start of ``left``."""
+
+    @property
+    def joined(self) -> tuple[float, float]:
+        """``closed``, and (0, 0) for an open seam."""
+        return (0.0, 0.0) if self.closure == Closure.OPEN else self.closed
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the edges are sewn together from end to end."""
+        return self.closure == Closure.SEWN and self.closed == (0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,10 @@
 Files hold degrees and the length unit they declare; patterns in memory hold radians and centimetres. Older files, with
 absolute control points, other units or unnormalised loops, are converted when they are read.
 
+A stitch stays a list of two edges, whatever its closure, so that pygarment and other readers sew it. The list
+``pattern.closures``, which they ignore, names the stitches that are not sewn from end to end: ``panel`` and ``edge`` of
+the first side, ``closure``, and ``closed``, the joined part from and to, as shares of that edge.
+
 >>> from gcd_dataset.records import Panel, Pattern, Placement, Edge
 >>> square = Panel("square", np.array([[0, 0], [9, 0], [9, 9], [0, 9]]), tuple(Edge(i, (i + 1) % 4) for i in range(4)),
 ...                Placement(np.zeros(3), np.zeros(3)))
@@ -25,7 +29,7 @@ from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, mirror
 from gcd_dataset.errors import PatternError, shown
 from gcd_dataset.files import write_whole
 from gcd_dataset.jsonfile import JsonPath, found, given, read_json
-from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam, role_of
+from gcd_dataset.records import Closure, Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam, role_of
 
 __all__ = [
     "is_bodice",
@@ -91,6 +95,8 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
     }
     stitches = at.list_of(body, "stitches") if body.get("stitches") is not None else []
     seams = tuple(_seam(entry, at.within(f"stitch {i}")) for i, entry in enumerate(stitches))
+    if body.get("closures") is not None:
+        seams = _closed(seams, at.list_of(body, "closures"), at)
     if not form.loops_normalised:
         panels, seams = _normalise_loops(panels, seams)
     order = _given_order(body, panels, at) if body.get("panel_order") is not None else panel_order(panels.values())
@@ -99,10 +105,12 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
 
 def spec_from_pattern(pattern: Pattern) -> dict[str, Any]:
     """The specification of a pattern as a JSON tree; numbers keep all their digits."""
+    closures = [_closure_entry(seam) for seam in pattern.seams if not seam.is_plain]
     return {
         "pattern": {
             "panels": {panel.name: _panel_entry(panel) for panel in pattern.panels},
             "stitches": [_seam_entry(seam) for seam in pattern.seams],
+            **({"closures": closures} if closures else {}),
             "panel_order": [panel.name for panel in pattern.panels],
         },
         "parameters": {},
@@ -262,6 +270,23 @@ def _seam(entry: Any, at: JsonPath) -> Seam:
     return Seam(left, right, right_wrong=entry[2:] == ["right_wrong"])
 
 
+def _closed(seams: Sequence[Seam], entries: Sequence[Any], at: JsonPath) -> tuple[Seam, ...]:
+    """The seams with the closures of ``pattern.closures``."""
+    row_of, found = {seam.left: row for row, seam in enumerate(seams)}, list(seams)
+    for i, value in enumerate(entries):
+        here = at.within(f"closure {i}")
+        entry = here.mapping(value, "an entry of closures")
+        edge = EdgeRef(here.text(entry.get("panel"), "panel"), here.index(entry.get("edge"), "edge number"))
+        if edge not in row_of:
+            raise here.error(
+                f"no stitch begins with edge {edge.edge} of panel {shown(edge.panel)}: name its first side"
+            )
+        closure = role_of(Closure, here.text(entry.get("closure"), "closure"))
+        start, end = here.numbers(given(entry, "closed", [0, 1]), 2, "closed")
+        found[row_of[edge]] = replace(seams[row_of[edge]], closure=closure, closed=(start, end))
+    return tuple(found)
+
+
 def _given_order(body: Mapping[str, Any], panels: Mapping[str, Panel], at: JsonPath) -> tuple[str, ...]:
     order = tuple(at.text(name, "a name in panel_order") for name in at.list_of(body, "panel_order"))
     odd = sorted(set(order) ^ set(panels))
@@ -354,6 +379,11 @@ def _edge_entry(edge: Edge) -> dict[str, Any]:
 def _seam_entry(seam: Seam) -> list[Any]:
     sides: list[Any] = [{"panel": side.panel, "edge": side.edge} for side in (seam.left, seam.right)]
     return sides + ["right_wrong"] if seam.right_wrong else sides
+
+
+def _closure_entry(seam: Seam) -> dict[str, Any]:
+    side = {"panel": seam.left.panel, "edge": seam.left.edge}
+    return {**side, "closure": str(seam.closure), "closed": list(seam.closed)}
 
 
 # -------------------------------------------------------------------------------------------------------------- helpers

@@ -18,7 +18,7 @@ of a nearly closed arc rotates the circle about them, and float32 would move its
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import pairwise
 
@@ -38,7 +38,19 @@ from gcd_dataset.curves import (
     to_frame,
 )
 from gcd_dataset.errors import PatternError
-from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Record, Seam, role_of
+from gcd_dataset.records import (
+    Closure,
+    Edge,
+    EdgeRef,
+    EdgeRole,
+    Panel,
+    PanelRole,
+    Pattern,
+    Placement,
+    Record,
+    Seam,
+    role_of,
+)
 
 __all__ = [
     "EDGE_LABELS",
@@ -158,6 +170,11 @@ class PatternTensor(Record):
     panel_labels: tuple[str, ...] = PANEL_LABELS
     edge_labels: tuple[str, ...] = EDGE_LABELS
     name: str = ""
+    closures: tuple[tuple[int, str, float, float], ...] = ()
+    """Row of ``stitches``, closure, and joined part from and to, of each seam that is not sewn from end to end.
+
+    Shards hold them in the specification alone.
+    """
 
     @property
     def loops(self) -> Int[np.ndarray, "p+1"]:
@@ -192,6 +209,9 @@ def encode_pattern(pattern: Pattern) -> PatternTensor:
         panel_labels=panel_labels,
         edge_labels=edge_labels,
         name=pattern.name,
+        closures=tuple(
+            (row, str(seam.closure), *seam.closed) for row, seam in enumerate(pattern.seams) if not seam.is_plain
+        ),
     )
 
 
@@ -204,8 +224,10 @@ def decode_pattern(tensor: PatternTensor) -> Pattern:
     bounds = [(int(a), int(b)) for a, b in pairwise(tensor.loops)]
     panels = tuple(_panel(tensor, row, tensor.edges[first:last]) for row, (first, last) in enumerate(bounds))
     refs = [EdgeRef(panel.name, i) for panel in panels for i in range(len(panel.edges))]
-    seams = tuple(Seam(refs[left], refs[right], bool(turned)) for left, right, turned in tensor.stitches.tolist())
-    return Pattern(tensor.name, panels, seams)
+    seams = [Seam(refs[left], refs[right], bool(turned)) for left, right, turned in tensor.stitches.tolist()]
+    for row, closure, start, end in tensor.closures:
+        seams[row] = replace(seams[row], closure=role_of(Closure, closure), closed=(start, end))
+    return Pattern(tensor.name, panels, tuple(seams))
 
 
 def area_centroid(panel: Panel) -> Float[np.ndarray, "2"]:

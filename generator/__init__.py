@@ -10,13 +10,14 @@ from gcd_dataset.lazy import lazy_names
 if TYPE_CHECKING:
     from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_body
     from gcd_dataset.generator.body.by_name import make_person
+    from gcd_dataset.generator.body.sizes import SizeChart, read_chart
     from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch, fabric_named, maps_of
     from gcd_dataset.generator.ease import ease_of
     from gcd_dataset.generator.garments import GarmentDesign, read_design, sample_design
     from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
     from gcd_dataset.generator.maker import make, produce
     from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
-    from gcd_dataset.generator.pipeline import build_pattern, fit
+    from gcd_dataset.generator.pipeline import build_pattern, fit, grade
     from gcd_dataset.generator.recipe import MakeConfig
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "GarmentDesign",
     "MakeConfig",
     "Overlay",
+    "SizeChart",
     "build_body",
     "build_box_mesh",
     "build_pattern",
@@ -37,12 +39,14 @@ __all__ = [
     "fabric_named",
     "fit",
     "fit_shape",
+    "grade",
     "make",
     "make_person",
     "maps_of",
     "measure",
     "named_body",
     "produce",
+    "read_chart",
     "read_design",
     "read_overlay",
     "sample_design",

@@ -9,11 +9,11 @@ import sys
 import tempfile
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import warp as wp
@@ -28,6 +28,10 @@ wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)
 launch_lock = threading.RLock()
 """Hold this lock to launch kernels or capture graphs: on a GPU a capture records the launches of every thread.
 Replaying a graph does not need it."""
+
+Result = TypeVar("Result")
+Resumable = Generator[None, None, Result]
+"""Work in steps: yields when a step is queued on the current stream; resume it once the device has ended that step."""
 
 _loaded: set[tuple[str, str]] = set()
 
@@ -126,19 +130,21 @@ class HostMirror:
     def __init__(self) -> None:
         self._kept: dict[tuple[Any, tuple[int, ...], int], wp.array] = {}
 
-    def fetch(self, *arrays: wp.array) -> list[np.ndarray]:
-        """The arrays in host memory, valid until the next call; waits once for the current stream."""
-        if arrays[0].device.is_cpu:
-            return [to_host(array) for array in arrays]
-        copies = []
-        for number, array in enumerate(arrays):
-            key = array.dtype, array.shape, number
-            if key not in self._kept:
-                self._kept[key] = wp.empty(array.shape, dtype=array.dtype, device="cpu", pinned=True)
-            wp.copy(self._kept[key], array)
-            copies.append(self._kept[key].numpy())
-        wp.synchronize_stream(wp.get_stream(arrays[0].device))
+    def fetch(self, *arrays: wp.array) -> Resumable[list[np.ndarray]]:
+        """The arrays in host memory, valid until the next call."""
+        copies = [self._queued(number, array) for number, array in enumerate(arrays)]
+        yield
         return copies
+
+    def _queued(self, number: int, array: wp.array) -> np.ndarray:
+        """The copy of an array, once the current stream has ended; on a CPU at once."""
+        if array.device.is_cpu:
+            return to_host(array)
+        key = array.dtype, array.shape, number
+        if key not in self._kept:
+            self._kept[key] = wp.empty(array.shape, dtype=array.dtype, device="cpu", pinned=True)
+        wp.copy(self._kept[key], array)
+        return self._kept[key].numpy()
 
 
 @contextlib.contextmanager
@@ -252,8 +258,8 @@ class WorkStream:
         self._allocator.free_dropped()
 
     def mark(self) -> None:
-        """Mark this point of the stream for ``reached``."""
-        self._stream.record_event(self._reached)
+        """Mark this point of the active stream for ``reached``."""
+        self._gpu.stream.record_event(self._reached)
 
     def reached(self) -> bool:
         """Whether the device has reached the last mark."""

@@ -29,7 +29,7 @@ from gcd_dataset.generator.ease import ease_of
 from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, Reject, check_design
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
-from gcd_dataset.generator.svg import pattern_svg
+from gcd_dataset.generator.svg import nest_svg, pattern_svg
 from gcd_dataset.records import Body, BoxMesh, Drape, Ease, Maps, Measurements, Outcome, Pattern
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
@@ -138,7 +138,7 @@ def write_drawn(
     Returns the path of the specification, and the rules that the design breaks on this wearer. Raises ``PatternError``
     for a pattern that cannot be drawn or sewn, ``BodyError`` for impossible measures, ``OutputError``.
     """
-    name = safe_name(source.stem.removesuffix("_design_params"))
+    name = garment_name(source)
     try:
         drawn = DrawnGarment.of(size, design, name=name)
     except PatternError as error:
@@ -151,6 +151,26 @@ def write_drawn(
     write_whole(svg, pattern_svg(drawn.pattern))
     write_measurements(size, measures)
     return spec, rejects
+
+
+def garment_name(source: Path) -> str:
+    """The name of a design's garment, from its file."""
+    return safe_name(source.stem.removesuffix("_design_params"))
+
+
+def write_graded(graded: Mapping[str, Pattern], folder: Path, *, seam_allowance: float, paper: str) -> None:
+    """Write a garment in several sizes: a specification for each, and all sizes nested in one PDF, DXF and SVG.
+
+    ``graded``: size to pattern, all of one name. For ``seam_allowance`` [cm], ``paper`` and errors see ``exports.pdf``.
+    """
+    from gcd_dataset import exports
+
+    name = safe_name(next(iter(graded.values())).name)
+    exports.pdf(graded, make_folder(folder) / f"{name}.pdf", seam_allowance=seam_allowance, paper=paper)
+    exports.dxf(graded, folder / f"{name}.dxf", seam_allowance=seam_allowance)
+    write_whole(folder / f"{name}{ENDINGS['svg']}", nest_svg(graded))
+    for file, pattern in zip(_distinct([f"{name}_{size}" for size in graded]), graded.values(), strict=True):
+        write_pattern(pattern, folder / f"{safe_name(file)}{ENDINGS['spec']}")
 
 
 def drape_patterns(

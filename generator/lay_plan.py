@@ -2,7 +2,7 @@
 
 import colorsys
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -103,15 +103,35 @@ class LayPlan:
 
 def lay_out(pattern: Pattern) -> LayPlan:
     """The panels in rows from the top down, tallest first."""
-    outlines = [_outline(panel) for panel in pattern.panels]
-    lows = np.array([outline.min(axis=0) for outline in outlines])
-    corners, width, height = _rows(np.array([outline.max(axis=0) for outline in outlines]) - lows)
+    return lay_out_nest([pattern])[0]
+
+
+def lay_out_nest(patterns: Sequence[Pattern]) -> tuple[LayPlan, ...]:
+    """A plan for each pattern, one garment in several sizes, with the origins of panels of one name at one point."""
+    outlines = ((panel.name, _outline(panel)) for pattern in patterns for panel in pattern.panels)
+    boxes = boxes_by_name((name, np.stack([outline.min(axis=0), outline.max(axis=0)])) for name, outline in outlines)
+    lows, highs = np.stack(list(boxes.values()), axis=1)
+    corners, width, height = _rows(highs - lows)
+    shifts = dict(zip(boxes, corners - lows, strict=True))
+    return tuple(LayPlan(tuple(_sheet_panels(pattern, shifts)), width, height) for pattern in patterns)
+
+
+def boxes_by_name(
+    boxes: Iterable[tuple[str, Float[np.ndarray, "2 2"]]],
+) -> dict[str, Float[np.ndarray, "2 2"]]:
+    """The box round all boxes of each name; a box is its lower left and its upper right corner."""
+    found: dict[str, Float[np.ndarray, "2 2"]] = {}
+    for name, box in boxes:
+        low, high = found.get(name, box)
+        found[name] = np.stack([np.minimum(low, box[0]), np.maximum(high, box[1])])
+    return found
+
+
+def _sheet_panels(pattern: Pattern, shifts: Mapping[str, Float[np.ndarray, "2"]]) -> Iterator[SheetPanel]:
     seam_of = {side: number for number, seam in enumerate(pattern.seams) for side in (seam.left, seam.right)}
-    panels = []
-    for number, (panel, shift) in enumerate(zip(pattern.panels, corners - lows, strict=True)):
+    for number, panel in enumerate(pattern.panels):
         seams = tuple(seam_of.get(EdgeRef(panel.name, index)) for index in range(len(panel.edges)))
-        panels.append(SheetPanel(panel, number, shift, seams))
-    return LayPlan(tuple(panels), width, height)
+        yield SheetPanel(panel, number, shifts[panel.name], seams)
 
 
 def _rows(sizes: Float[np.ndarray, "p 2"]) -> tuple[Float[np.ndarray, "p 2"], float, float]:

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.shape import draw_from
+from gcd_dataset.generator.body.sizes import SizeChart
 from gcd_dataset.generator.captions import captions_text
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.ease import ease_of
@@ -71,6 +72,11 @@ def fit(design: GarmentDesign, sizes: Iterable[Measurements]) -> tuple[Pattern, 
         except PatternError as error:
             raise PatternError(f"wearer {number}: {error}: change the design, or leave this wearer out") from error
     return tuple(patterns)
+
+
+def grade(design: GarmentDesign, chart: SizeChart, *, name: str = "garment") -> dict[str, Pattern | Reject]:
+    """Each size of a chart, to the pattern of a design for its body, or to the reason why a rule rejects it."""
+    return {size: try_on(body, design, name=name) for size, body in chart.bodies.items()}
 
 
 def sample_key(index: int) -> str:

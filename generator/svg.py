@@ -5,6 +5,7 @@ pattern's own coordinates: the cloth as one closed path, each edge as a path (``
 line.
 """
 
+from collections.abc import Mapping
 from xml.etree import ElementTree
 
 import numpy as np
@@ -12,10 +13,19 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic, curve_points, curve_tangents, from_frame
 from gcd_dataset.errors import shown
-from gcd_dataset.generator.lay_plan import INK, RGB, LayPlan, SheetPanel, cloth_colour, lay_out, seam_colour
+from gcd_dataset.generator.lay_plan import (
+    INK,
+    RGB,
+    LayPlan,
+    SheetPanel,
+    cloth_colour,
+    lay_out,
+    lay_out_nest,
+    seam_colour,
+)
 from gcd_dataset.records import Pattern
 
-__all__ = ["pattern_svg"]
+__all__ = ["nest_svg", "pattern_svg"]
 
 MARGIN = 1.0  # cm of empty border round the drawing
 LINE_WIDTH = 0.12  # cm
@@ -23,6 +33,7 @@ LARGEST_NAME, SMALLEST_NAME = 2.0, 0.3  # cm, height of letters
 LETTER_WIDTH = 0.6  # mean, as a share of the height, in the usual sans serif
 NAME_SHARE = 0.45  # share of the room that a name may take; the grain line needs the rest
 GRAIN_SHARE, ARROW = 0.6, 0.8  # share of the room along the grain; length of an arrow head [cm]
+SIZE_ROW, SIZE_NAME = 4.0, 1.5  # cm, heights of the row of a nest's sizes, and of their names
 SEAM_NUMBER, SEAM_SHARE = 0.9, 0.3  # height of a seam number [cm], at most this share of its edge's length
 TINY = 1e-9  # cm: least divisor, for edges without length
 
@@ -36,7 +47,38 @@ def pattern_svg(pattern: Pattern, plan: LayPlan | None = None) -> bytes:
     pattern's ``lay_out``, where it is known.
     """
     plan = plan or lay_out(pattern)
-    width, height = plan.width + 2 * MARGIN, plan.height + 2 * MARGIN
+    root, height = _sheet(pattern.name, plan.width, plan.height)
+    root.extend(_panel(piece, height) for piece in plan.panels)
+    return _written(root)
+
+
+def nest_svg(patterns: Mapping[str, Pattern]) -> bytes:
+    """One garment in several sizes, panels of one name over one another; ``patterns``: size to pattern, one at least.
+
+    Each size is a group (``data-size``, a layer in Inkscape) in a colour of its own, smallest first, as in the row of
+    sizes below the panels. Names and seam numbers are those of the first size that has the panel.
+    """
+    [pattern, *_], plans = patterns.values(), lay_out_nest(list(patterns.values()))
+    root, height = _sheet(pattern.name, plans[0].width, plans[0].height + SIZE_ROW)
+    root.set("xmlns:inkscape", "http://www.inkscape.org/namespaces/inkscape")
+    drawn: set[str] = set()
+    for number, (size, plan) in enumerate(zip(patterns, plans, strict=True)):
+        ink, name = seam_colour(number), shown(size)
+        layer = {"data-size": name, "inkscape:groupmode": "layer", "inkscape:label": name}
+        group = ElementTree.SubElement(root, "g", layer)
+        column = plan.width / len(plans)
+        letters = min(SIZE_NAME, 0.8 * column / (LETTER_WIDTH * max(len(name), 1)))
+        at = _upright(MARGIN + (number + 0.5) * column, height - MARGIN - 0.5 * SIZE_ROW)
+        ElementTree.SubElement(group, "g", {"transform": at}).append(_text(name, np.zeros(2), letters, ink))
+        for piece in plan.panels:
+            group.append(_panel(piece, height - SIZE_ROW, ink, is_named=piece.panel.name not in drawn))
+            drawn.add(piece.panel.name)
+    return _written(root)
+
+
+def _sheet(title: str, width: float, height: float) -> tuple[Node, float]:
+    """An empty drawing with room for ``width`` and ``height`` [cm], and its height with margins."""
+    width, height = width + 2 * MARGIN, height + 2 * MARGIN
     root = ElementTree.Element(
         "svg",
         {
@@ -52,28 +94,35 @@ def pattern_svg(pattern: Pattern, plan: LayPlan | None = None) -> bytes:
             "stroke-width": str(LINE_WIDTH),
         },
     )
-    ElementTree.SubElement(root, "title").text = shown(pattern.name)
-    for piece in plan.panels:
-        root.append(_panel(piece, height))
+    ElementTree.SubElement(root, "title").text = shown(title)
+    return root, height
+
+
+def _written(root: Node) -> bytes:
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
 
 
-def _panel(piece: SheetPanel, height: float) -> Node:
-    """The group of one panel: cloth, edges, grain line, name, seam numbers."""
+def _panel(piece: SheetPanel, height: float, ink: RGB | None = None, *, is_named: bool = True) -> Node:
+    """The group of one panel: cloth, edges, grain line; name and seam numbers if ``is_named``.
+
+    ``ink``: colour of all lines of a panel in a nest, whose cloth has none; ``None``: colours by panel and seam.
+    """
     x, y = piece.shift[0] + MARGIN, height - MARGIN - piece.shift[1]
     name = shown(piece.panel.name)
     group = ElementTree.Element("g", {"data-panel": name, "transform": _upright(x, y)})
     ElementTree.SubElement(group, "title").text = name
     steps = [_command(*piece.panel.edge_ends(i), edge.curve) for i, edge in enumerate(piece.panel.edges)]
     loop = " ".join([f"M{_point(piece.panel.edge_ends(0)[0])}", *steps, "Z"])
-    ElementTree.SubElement(group, "path", {"d": loop, "fill": _hex(cloth_colour(piece.number))})
+    ElementTree.SubElement(group, "path", {"d": loop} | ({} if ink else {"fill": _hex(cloth_colour(piece.number))}))
     for index, seam in enumerate(piece.seams):
         start, end = piece.panel.edge_ends(index)
         attributes = {"data-edge": str(index)} | ({} if seam is None else {"data-seam": str(seam)})
         line = f"M{_point(start)} {_command(start, end, piece.panel.edges[index].curve)}"
-        ElementTree.SubElement(group, "path", {"d": line, "stroke": _hex(seam_colour(seam)), **attributes})
-    group.append(_grain_line(piece))
+        ElementTree.SubElement(group, "path", {"d": line, "stroke": _hex(ink or seam_colour(seam)), **attributes})
+    group.append(_grain_line(piece, ink or INK))
+    if not is_named:
+        return group
     centre, room = piece.name_position()
     fitting = NAME_SHARE * room / (LETTER_WIDTH * max(len(name), 1))
     group.append(_text(name, centre, min(LARGEST_NAME, max(SMALLEST_NAME, fitting)), INK))
@@ -96,14 +145,14 @@ def _command(start: Point, end: Point, curve: Curve) -> str:
             return f"L{_point(end)}"
 
 
-def _grain_line(piece: SheetPanel) -> Node:
+def _grain_line(piece: SheetPanel, ink: RGB) -> Node:
     """A line along the warp, the panel's y axis, with an arrow head at both ends."""
     (x, y), room = piece.grain_position()
     half = 0.5 * GRAIN_SHARE * room
     head = min(ARROW, half)
     line = f"M{_point((x, y - half))} L{_point((x, y + half))}"
     heads = [_arrow_head(x, y + sign * half, sign * head) for sign in (1, -1)]
-    return ElementTree.Element("path", {"class": "grain", "d": " ".join([line, *heads]), "stroke": _hex(INK)})
+    return ElementTree.Element("path", {"class": "grain", "d": " ".join([line, *heads]), "stroke": _hex(ink)})
 
 
 def _arrow_head(x: float, tip: float, length: float) -> str:

@@ -162,22 +162,18 @@ class Views(SceneTransform):
             scenes.append(self._scene(garment, seed, use))
             options: dict[str, Any] = {"epoch": use, "row": row, "fabric": garment.fabric, "ranges": self.ranges}
             views += draw_views(seed, garment.index, scenes[row], self.n, **options)
-        with self._pictures(scenes, views) as pictures:
-            return [self._entries(pictures[row * self.n : (row + 1) * self.n]) for row in range(len(items))]
+        pictures = self._pictures(scenes, views)
+        return [self._entries(pictures[row * self.n : (row + 1) * self.n]) for row in range(len(items))]
 
-    @contextlib.contextmanager
-    def _pictures(self, scenes: Sequence["Scene"], views: Sequence["View"]) -> "Iterator[list[Picture]]":
-        """The pictures, valid within the block."""
+    def _pictures(self, scenes: Sequence["Scene"], views: Sequence["View"]) -> "list[Picture]":
         from gcd_dataset.generator.render import render, start_pictures
 
         options: dict[str, Any] = {"size": self.size, "maps": self.maps, "device": self.device}
         if len(views) * self.size**2 > PIXELS:  # one garment, whose views take several renderings
-            yield render(scenes, views, **options)
-            return
+            return render(scenes, views, **options)
         with _first_use(self.device):
             pending = start_pictures(scenes, views, **options)
-        yield pending.lend()
-        pending.release()
+        return pending.lend()
 
     def _scene(self, garment: StoredGarment, seed: int, use: int) -> "Scene":
         from gcd_dataset.generator.render import draw_hair

@@ -7,9 +7,20 @@ import numpy as np
 import trimesh
 
 from gcd_dataset.curves import LINE
+from gcd_dataset.generator.device import Result, Resumable
 from gcd_dataset.records import Body, BoxMesh, Edge, EdgeRef, Measurements, Panel, Pattern, Placement, Seam
 
 SIZE = Measurements(height=170.0, head_l=26.0, waist_line=37.0, neck_w=19.0, armscye_depth=13.0)
+
+
+def waited(work: Resumable[Result]) -> Result:
+    """The result of work on a CPU, where each step ends at once."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            result: Result = end.value
+            return result
 
 
 def body_from(shape: trimesh.Trimesh) -> Body:

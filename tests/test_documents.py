@@ -62,7 +62,7 @@ def test_a_changed_report_makes_the_table_stale(monkeypatch: pytest.MonkeyPatch,
         assert figures.short_figures() != before
         (tmp_path / "scale.md").write_text("# scale\n")
         read_report.cache_clear()
-        with pytest.raises(StaleError, match=r"scale\.md has no '"):
+        with pytest.raises(StaleError, match=r"scale\.md has no figure"):
             figures.figures_table()
     finally:
         read_report.cache_clear()

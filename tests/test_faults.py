@@ -20,7 +20,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import Rule, Severity, check_pattern, require_valid
 from gcd_dataset.generator import make
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Closure, Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern
 
 HERE = Placement(np.zeros(3), np.zeros(3))
@@ -114,6 +114,12 @@ BROKEN: dict[Rule, tuple[Callable[[], Pattern], str, int | None, str]] = {
         1,
         "left_collar and right_collar",
     ),
+    Rule.CLOSURE: (
+        lambda: sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 3), closed=(0.8, 0.2))),
+        "front",
+        1,
+        "stitch 0: closed from 0.8 to 0.2: give two shares of its length, in ascending order from 0 to 1",
+    ),
     Rule.SHORT_EDGE: (lambda: alone(polygon((0, 0), (10, 0), (10, 0.3), (0, 9))), "front", 1, "0.3 cm"),
     Rule.NARROW_DART: (lambda: alone_sewn(WITH_DART, (3, 4)), "front", 3, "with edge 4 it is 0.4 cm wide: leave"),
     Rule.SMALL_PANEL: (
@@ -157,6 +163,23 @@ def test_each_rule_names_its_place_and_figure(rule: Rule) -> None:
     assert (faults[0].panel, faults[0].edge) == (panel, edge)
     assert figure in faults[0].figure
     assert "\n" not in str(faults[0])
+
+
+@pytest.mark.parametrize(
+    ("closure", "closed", "figure"),
+    [
+        ("velcro", (0.0, 1.0), "velcro: give one of sewn, open, zip, buttons"),
+        (Closure.ZIP, (-0.1, 1.0), "closed from -0.1 to 1"),
+        (Closure.ZIP, (0.0, 1.5), "closed from 0 to 1.5"),
+        (Closure.BUTTONS, (0.25, 0.75), ""),
+        (Closure.OPEN, (0.0, 1.0), ""),
+    ],
+)
+def test_a_closure_is_a_known_one_within_its_seam(closure: str, closed: tuple[float, float], figure: str) -> None:
+    pattern = sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 3), closure=closure, closed=closed))
+    faults = check_pattern(pattern)
+    assert [(fault.rule, fault.panel, fault.edge) for fault in faults] == [(Rule.CLOSURE, "front", 1)][: bool(figure)]
+    assert all(figure in fault.figure for fault in faults)
 
 
 def test_a_narrow_dart_is_found_whole_and_a_wide_one_is_none() -> None:

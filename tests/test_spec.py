@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, curve_points
 from gcd_dataset.errors import SpecError
-from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Closure, Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import (
     euler_angles,
     panel_order,
@@ -52,6 +52,54 @@ def outline(panel: Panel) -> np.ndarray:
 def parsed(pattern: Pattern) -> dict[str, Any]:
     spec: dict[str, Any] = json.loads(json.dumps(spec_from_pattern(pattern)))
     return spec
+
+
+def closing(pattern: Pattern, *closures: tuple[Closure | str, tuple[float, float]]) -> Pattern:
+    """The pattern with closures of its first seams."""
+    named = [replace(s, closure=how, closed=part) for s, (how, part) in zip(pattern.seams, closures, strict=False)]
+    return replace(pattern, seams=(*named, *pattern.seams[len(named) :]))
+
+
+CLOSURES = [(Closure.ZIP, (0.25, 1.0)), (Closure.OPEN, (0.0, 1.0)), ("velcro", (0.0, 1.0)), (Closure.SEWN, (0.0, 0.2))]
+
+
+@pytest.mark.parametrize("first", CLOSURES)
+def test_closures_survive_writing_and_reading(first: tuple[Closure | str, tuple[float, float]]) -> None:
+    pattern = closing(tube(), first, (Closure.BUTTONS, (0.1, 0.9)))
+    assert pattern_from_spec(parsed(pattern), "tube").seams == pattern.seams
+    spec = parsed(pattern)
+    del spec["properties"]["normalized_edge_loops"]  # loops begin elsewhere, and the edges have other numbers
+    for panel in spec["pattern"]["panels"].values():
+        panel["edges"] = panel["edges"][1:] + panel["edges"][:1]
+    moved = pattern_from_spec(spec, "tube").seams
+    assert [(seam.closure, seam.closed) for seam in moved] == [first, (Closure.BUTTONS, (0.1, 0.9))]
+
+
+def test_a_reader_of_stitches_alone_sews_every_seam() -> None:
+    """pygarment takes panel and edge of the first two entries of a stitch, and a third one for the word right_wrong."""
+    plain, closed = parsed(tube())["pattern"], parsed(closing(tube(), (Closure.OPEN, (0.0, 1.0))))["pattern"]
+    for stitch in closed["stitches"]:
+        assert [set(side) for side in stitch[:2]] == [{"panel", "edge"}] * 2
+        assert all(side["edge"] < len(closed["panels"][side["panel"]]["edges"]) for side in stitch[:2])
+        assert stitch[2:] in ([], ["right_wrong"])
+    assert closed.pop("closures") == [{"panel": "front", "edge": 1, "closure": "open", "closed": [0.0, 1.0]}]
+    assert closed == plain  # nothing of it is in a file of a pattern that is sewn
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ({"panel": "back", "edge": 3, "closure": "zip"}, "no stitch begins with edge 3 of panel back"),
+        ({"panel": "front", "edge": 1, "closure": 4}, "closure must be a string"),
+        ({"panel": "front", "edge": 1, "closure": "zip", "closed": 0.5}, "closed must be 2 numbers"),
+        ("zip", "an entry of closures must be a JSON object"),
+    ],
+)
+def test_a_closure_that_cannot_be_read_is_named(entry: Any, said: str) -> None:
+    spec = parsed(tube())
+    spec["pattern"]["closures"] = [entry]
+    with pytest.raises(SpecError, match=f"tube: closure 0: {said}"):
+        pattern_from_spec(spec, "tube")
 
 
 def test_written_and_read_is_the_same(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.patternhash import STEP, PatternHash, hash_pattern
-from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam
+from gcd_dataset.records import Closure, Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern
 from gcd_dataset.tensors import (
     EDGE_LABELS,
@@ -48,6 +48,14 @@ def outline(panel: Panel) -> np.ndarray:
 
 def again(pattern: Pattern) -> Pattern:
     return decode_pattern(encode_pattern(pattern))
+
+
+def test_closures_survive_and_leave_the_arrays_alone() -> None:
+    sewn = Pattern("tent", (square(),), (Seam(EdgeRef("square", 0), EdgeRef("square", 1)),))
+    zipped = replace(sewn, seams=(replace(sewn.seams[0], closure=Closure.ZIP, closed=(0.5, 1.0)),))
+    assert again(zipped).seams == zipped.seams
+    assert again(sewn).seams == sewn.seams
+    assert np.array_equal(encode_pattern(zipped).stitches, encode_pattern(sewn).stitches)
 
 
 def assert_same(ours: Pattern, theirs: Pattern) -> None:

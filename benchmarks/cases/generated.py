@@ -1,11 +1,12 @@
 """Fresh garments in a training loop: garments per second, and the time that the training waits for them.
 
-    python -m benchmarks.run generated --device cuda:0 --workers 14 --seconds 20 --warm 300
+    python -m benchmarks.run generated --device cuda:0 --workers 14 --seconds 20 --warm 1700
 
 Workers make garments ahead of a loop that collates them, as ``FreshGarments`` does. The clock starts after ``--warm``
-garments: kernels are then loaded and all workers busy. ``own_per_second``, for draped garments, is the rate of one
-draping process with unlimited prepared garments, measured after the loop; ``share`` is the loop's rate divided by it,
-with two such processes per GPU feeding the loop.
+garments: kernels are then loaded, and each worker has garments in store, without which a loop waits for the slowest
+worker (``READY`` and ``AHEAD`` of ``generator.maker``: 120 garments a worker). ``own_per_second``, for draped garments,
+is the rate of one draping process with unlimited prepared garments, measured after the loop; ``share`` is the loop's
+rate divided by it, with two such processes per GPU feeding the loop.
 
 On a GPU, with box meshes or drapes, two networks are then trained to predict the body from the garment, with each
 garment replayed ``--replay`` times. ``small``: a few layers per point. ``large``: a transformer with enough layers that
@@ -32,6 +33,7 @@ COUNT = 10**6  # garments, more than any run makes
 FIELDS = {"pattern": ("panels", "edges", "stitches", "body"), "mesh": ("points", "body", "box", "faces")}
 FIELDS["drape"] = ("points", "body", "verts", "faces")
 LAYERS = (1, 2, 4, 8, 16, 32, 64)  # candidates for the large network; 3 million weights per layer
+ROOM = 256  # garments that a training uses in turn
 SLACK = 1.25  # least step time of the large network over the time to make the step's garments
 
 
@@ -67,7 +69,7 @@ def run(options: argparse.Namespace) -> CaseResult:
     figures = [Figure("first_batch_s", first, "s"), Figure("per_second", rate, "garments")]
     figures += [Figure("gpu_idle_alone", load.idle, "of the time, nothing is trained")] if load.watts else []
     if options.stage == "drape" and on_gpu:
-        own = own_rate(garments.config, prepared=options.prepared, warm=options.warm, seconds=options.seconds)
+        own = own_rate(garments.config, prepared=options.prepared, warm=256, seconds=options.seconds)
         figures += [
             Figure("own_per_second", own, "garments, by one draping process"),
             Figure("share", rate / own / len(devices), "of the draping processes' own rate, one for each GPU"),
@@ -92,14 +94,14 @@ def _rate(garments: GeneratedGarments, options: argparse.Namespace) -> tuple[flo
 
 
 def _batches(garments: GeneratedGarments, options: argparse.Namespace, *, replay: float) -> Iterator[Any]:
-    """Batches of the loop; if garments are replayed, from a buffer of ``--warm`` garments."""
-    room = options.batch if replay == 1 else max(options.warm, 1)
+    """Batches of the loop; if garments are replayed, from a buffer."""
+    room = options.batch if replay == 1 else ROOM
     fresh = FreshGarments(garments, replay=replay, room=room, workers=options.workers)
     return iter(GarmentLoader(fresh, options.batch, shuffle=False, rank=0, world_size=1))
 
 
-def _pass_warm(batches: Iterator[Any], options: argparse.Namespace) -> None:
-    for _ in range(-(-options.warm // options.batch)):
+def _pass_warm(batches: Iterator[Any], options: argparse.Namespace, *, replay: float = 1.0) -> None:
+    for _ in range(int(options.warm * replay) // options.batch):
         next(batches)
 
 
@@ -113,7 +115,7 @@ def _trained(garments: GeneratedGarments, options: argparse.Namespace, rate: flo
     least = SLACK * options.batch / (rate * options.replay)
     large, layers, seconds = _large(outputs, first, device, options.batch, least)
     weights = sum(weight.numel() for weight in large.parameters()) / 1e6
-    _pass_warm(batches, options)
+    _pass_warm(batches, options, replay=options.replay)
     with gpu_load(garments.config.device) as load:
         figures = _waits("small", _PointNet(outputs), batches, device, options)
     figures += [Figure("small_gpu_idle", load.idle, "of the time")] if load.watts else []

@@ -36,15 +36,6 @@ class Report:
                 return float(value)
         raise StaleError(f"benchmarks/reports/{self.name}.md has no figure {figure}: change docs/tools/figures.py")
 
-    def quoted(self, line: str, value: str) -> str:
-        """``value``, found in a line that starts with ``line``; for reports in prose. Raises ``StaleError``."""
-        for found in self.text.splitlines():
-            if found.startswith(line) and value in found.removeprefix(line):
-                return value
-        raise StaleError(
-            f"benchmarks/reports/{self.name}.md has no {value!r} after {line!r}: change docs/tools/figures.py"
-        )
-
     def cells(self, *start: str) -> list[str]:
         """The cells of the first table row that starts with these. Raises ``StaleError``."""
         for line in self.text.splitlines():
@@ -220,21 +211,21 @@ FIGURES = (
     Figure(
         "finished garments with pictures written into shards, on two bodies",
         "scale",
-        lambda r: f"{r.quoted('| **one H200, 15 workers, 5 000 garments**', '43.6')} a second",
+        lambda r: f"{r.value('scale.garments_per_s'):.1f} a second, {r.value('scale.joules'):.1f} J each",
         lambda r: (
-            f"one draping process alone, without pictures: {r.quoted('| **one H200', '0.99')} of its rate; two GPUs: "
-            f"{r.quoted('| two H200 of one host', '2.04')} × one"
+            f"one draping process without pictures: {r.value('scale.own_per_s'):.1f} a second; "
+            f"GPU idle {100 * r.value('scale.gpu_waits'):.0f} % of the time"
         ),
-        on="NVIDIA H200, 16 CPU cores",
-        command="python -m benchmarks.run scale --device cuda:0 --workers 15 --count 5000",
         short=True,
     ),
     Figure(
         "fresh garments, draped at 1 cm, that a training loop receives",
         "fresh_garments",
-        lambda r: f"{r.quoted('| a small network', '38.7')} a second",
-        lambda r: f"{r.quoted('| a small network', '0.90')} of the draping process's own rate",
-        command="python -m benchmarks.run generated --device cuda:0 --workers 14 --seconds 20 --warm 300",
+        lambda r: (
+            f"{r.value('generated.per_second'):.1f} a second; {r.value('generated.small_fresh_per_second'):.1f} while "
+            "a small network trains on that GPU"
+        ),
+        lambda r: f"one draping process: {r.value('generated.own_per_second'):.1f} a second",
         short=True,
     ),
     Figure(
@@ -364,7 +355,7 @@ def _table(figures: tuple[Figure, ...] | list[Figure], folder: str) -> str:
         report = read_report(figure.report)
         beside = figure.beside(report).replace("../benchmarks/reports", folder)
         hardware = figure.on or report.fact("hardware").replace("1 CPU threads (x86_64)", "one CPU core")
-        hardware = hardware.removeprefix("one CPU core, ").replace(" (x86_64)", "")
+        hardware = hardware.removeprefix("one CPU core, ").replace(" (x86_64)", "").replace(", 1 threads of torch", "")
         command = figure.command or report.fact("command").strip("`")
         cells = [figure.what, figure.value(report), beside, f"{hardware}, [report]({folder}/{figure.report}.md)"]
         lines.append(f"| {' | '.join(cells)} | `{_shortened(command)}` |")

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,10 +11,11 @@ from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.check import checks
 from gcd_dataset.check.checks import Check
-from gcd_dataset.errors import PatternError
+from gcd_dataset.errors import PatternError, SpecError
 from gcd_dataset.faults import Rule, Severity, check_pattern
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Grade, Outcome, Pattern
+from gcd_dataset.spec import pattern_from_spec
 from gcd_dataset.tensors import CurveKind, EdgeColumn, PatternTensor, StitchColumn, decode_pattern
 
 Fault = tuple[Check, str]
@@ -86,8 +87,11 @@ class CheckedGarment:
     def pattern(self) -> Pattern | None:
         """The pattern; ``None`` where its arrays are missing or contradict each other."""
         try:
-            return None if self.tensor is None else decode_pattern(self.tensor)
-        except PatternError:
+            pattern = None if self.tensor is None else decode_pattern(self.tensor)
+            if pattern is None or "closures" not in ((self.spec or {}).get("pattern") or {}):
+                return pattern
+            return replace(pattern, seams=pattern_from_spec(self.spec, self.key).seams)
+        except (PatternError, SpecError):
             return None
 
 
@@ -357,7 +361,8 @@ def sewing_faults(
     """The faults of the seams of one garment."""
     if all(len(arrays.get(name, ())) for name in ("faces", "stitches")) and "seams" in arrays:
         seams, stitches = arrays["seams"].astype(np.int64), len(arrays["stitches"])
-        if len(np.unique(seams[:, 1])) < stitches:
+        whole = [row for row in range(stitches) if pattern is None or pattern.seams[row].joined == (0.0, 1.0)]
+        if not np.isin(whole, seams[:, 1]).all():
             yield checks.OPEN_SEAMS, "seams without vertices in the mesh"
         on_seam = np.bincount(seams[:, 1], minlength=stitches)
         border = open_edges(arrays["faces"].astype(np.int64), seams, stitches)

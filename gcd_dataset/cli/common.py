@@ -268,6 +268,10 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
         "gcd fit design_params.yaml --body scan.obj --out fitted",
         "gcd fit design_params.yaml --body female:7 --out fitted --resolution 2 --fabric denim",
     ),
+    "grade": (
+        "gcd grade design_params.yaml --chart women --out graded",
+        "gcd grade design_params.yaml --chart sizes.toml --out graded --seam-allowance 1.5 --paper a0",
+    ),
     "measure": ("gcd measure scan.obj --out measures.yaml", "gcd measure --shape random:7"),
     "show": ("gcd show shards --index 3 --html garment.html", "gcd show shirt_specification.json --svg pattern.svg"),
     "info": ("gcd info shards", "gcd info org/garments"),

@@ -1,4 +1,4 @@
-"""``gcd drape``, ``fit`` and ``measure``: single garments and bodies."""
+"""``gcd drape``, ``fit``, ``grade`` and ``measure``: single garments and bodies."""
 
 import argparse
 import sys
@@ -17,16 +17,17 @@ from gcd_dataset.cli.common import (
     design_in,
     wearer_of,
 )
-from gcd_dataset.errors import ConfigError, shown
+from gcd_dataset.errors import ConfigError, PatternError, shown
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.body.tailor import MeasureResult
 
+DESIGN_HELP = "GarmentCode's design_params.yaml, or ours"
 FABRICS = "denim, drill, interlock, wool_light ...; an unknown name lists them all"
 
 
 def add_verbs(verbs: Any) -> None:
-    """Add ``drape``, ``fit`` and ``measure``."""
+    """Add ``drape``, ``fit``, ``grade`` and ``measure``."""
     drape = add_verb(
         verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"
     )
@@ -34,8 +35,19 @@ def add_verbs(verbs: Any) -> None:
     _add_draping(drape)
 
     fit = add_verb(verbs, "fit", _fit, "draw a design for a body, and drape it; exit 1 if it does not settle")
-    fit.add_argument("design", type=Path, metavar="DESIGN", help="GarmentCode's design_params.yaml, or ours")
+    fit.add_argument("design", type=Path, metavar="DESIGN", help=DESIGN_HELP)
     _add_draping(fit)
+
+    grade = add_verb(verbs, "grade", _grade, "draw a design in all sizes of a chart; exit 1 if a size is rejected")
+    grade.add_argument("design", type=Path, metavar="DESIGN", help=DESIGN_HELP)
+    grade.add_argument("--chart", required=True, metavar="CHART", help="women, men, or a size chart as TOML")
+    grade.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for specifications, nested SVG, PDF and DXF"
+    )
+    grade.add_argument(
+        "--seam-allowance", type=float, default=1.0, metavar="CM", help="cloth beyond the sew line (default: 1)"
+    )
+    grade.add_argument("--paper", default="a4", metavar="NAME", help="of the PDF: a4, letter, a3, a1, a0 (default: a4)")
 
     _add_measure(verbs)
 
@@ -151,6 +163,24 @@ def _fit(options: argparse.Namespace) -> int:
         print(f"gcd fit: {options.design}: on this body, {reject}", file=sys.stderr)
     options.spec = [spec]
     return _drape(options, wearer)
+
+
+def _grade(options: argparse.Namespace) -> int:
+    from gcd_dataset.generator import grade, read_chart
+    from gcd_dataset.generator.fitting import garment_name, write_graded
+    from gcd_dataset.records import Pattern
+
+    chart = read_chart(options.chart)
+    found = grade(design_in(options.design), chart, name=garment_name(options.design))
+    graded = {size: pattern for size, pattern in found.items() if isinstance(pattern, Pattern)}
+    for size, reject in found.items():
+        if size not in graded:
+            print(f"gcd grade: {options.design}: size {shown(size)}: {reject}", file=sys.stderr)
+    if not graded:
+        raise PatternError(f"{options.design}: rejected in all sizes of {chart.source}: change the design")
+    write_graded(graded, options.out, seam_allowance=options.seam_allowance, paper=options.paper)
+    print(f"{options.out}: {len(graded)} of {len(found)} sizes: specifications, and nests as PDF, DXF and SVG")
+    return int(len(graded) < len(found))
 
 
 def _measure(options: argparse.Namespace) -> int:

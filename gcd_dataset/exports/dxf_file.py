@@ -6,13 +6,14 @@ layers 1 to 14. The encoding of a notch, a point with its depth in group 30, its
 that of the ePattern guide to the standard by DH Patterns and Fit. ``Units:METRIC`` means millimetres with two decimals.
 
 The file is DXF R12 without tables and without layouts, which the readers of pattern CAD expect: see ``ezdxf``'s
-``gerber_D6673``. Each piece is a block, inserted once on one sheet.
+``gerber_D6673``. Each piece is a block, inserted once on one sheet. In a graded garment each size of a piece is a
+block, and the sizes are inserted at one point, each on a layer of its own.
 """
 
 import io
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import date
 from enum import StrEnum
 from pathlib import Path
@@ -22,10 +23,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gcd_dataset import __version__
-from gcd_dataset.exports.inputs import optional, pattern_of, require_suffix
+from gcd_dataset.exports.inputs import Graded, optional, patterns_of, require_suffix
 from gcd_dataset.exports.pdf_file import pack
 from gcd_dataset.exports.pieces import CutPiece, cut_pieces
 from gcd_dataset.files import plain_names, write_whole
+from gcd_dataset.generator.lay_plan import boxes_by_name
 from gcd_dataset.records import Pattern, Sample
 
 MM = 10.0  # millimetres in a centimetre
@@ -40,6 +42,8 @@ ASPECT = 1.6  # width over height of the sheet, about
 LONGEST_NAME = 31  # letters of a block's name in R12
 LONGEST_TEXT = 36  # letters: R12 limits a text to 255 bytes, and \U+XXXX takes 7
 BASE_SIZE = "BASE"
+SIZE_LAYER = "SIZE_"  # of a graded garment, before the name of a size: the layer on which its pieces are inserted
+LONGEST_SIZE = LONGEST_NAME - len(SIZE_LAYER)
 SAME = 0.02  # mm between a point of the sew line and one of the cut line that are one
 
 
@@ -60,9 +64,9 @@ class DxfLayer(StrEnum):
 
 
 def dxf(
-    garment: Sample | Pattern, path: Path | str, *, seam_allowance: float = 1.0, created: date | None = None
+    garment: Sample | Pattern | Graded, path: Path | str, *, seam_allowance: float = 1.0, created: date | None = None
 ) -> None:
-    """Write the pattern as DXF.
+    """Write the pattern as DXF, or of a graded garment those of all sizes, pieces of one name over one another.
 
     ``seam_allowance``: cloth beyond the sew line [cm]; ``created``: date of creation in the file. Raises
     ``ConfigError`` for a name that does not end in ``.dxf`` or an allowance out of range, ``PatternError`` for a
@@ -71,21 +75,35 @@ def dxf(
     path = require_suffix(path, ".dxf")
     drawing = optional("ezdxf.document").Drawing  # ``ezdxf.new`` warns of units, which R12 has not
     exporter = optional("ezdxf.addons.gerber_D6673")
-    pattern = pattern_of(garment)
-    pieces = cut_pieces(pattern, seam_allowance=seam_allowance)
-    size, material = _size_and_material(garment)
+    patterns = patterns_of(garment)
+    pieces = [
+        (size, piece)
+        for size, pattern in patterns.items()
+        for piece in cut_pieces(pattern, seam_allowance=seam_allowance)
+    ]
+    sample_size, material = _size_and_material(garment)
+    sizes, size_layers = {"": sample_size}, {"": DxfLayer.CUT.value}
+    if isinstance(garment, Mapping):
+        sizes = dict(zip(patterns, plain_names(list(patterns), longest=LONGEST_SIZE, stem="size"), strict=True))
+        size_layers = {size: f"{SIZE_LAYER}{_identifier(name)}" for size, name in sizes.items()}
+        sample_size = list(sizes.values())[len(sizes) // 2]
     document = drawing.new("R12")
     space = document.modelspace()
-    names = plain_names([piece.name for piece in pieces], longest=LONGEST_NAME)
-    for piece, name, at in zip(pieces, names, _places(pieces), strict=True):
-        block = document.blocks.new(re.sub(r"[^A-Za-z0-9-]", "_", name))
-        _draw_piece(block, piece, name, [f"Size Name:{size}", *([f"Material:{material}"] if material else [])])
-        space.add_blockref(block.name, _mm(at), dxfattribs={"layer": DxfLayer.CUT.value})
+    boxes = boxes_by_name((piece.name, piece.box) for _, piece in pieces)
+    names = dict(zip(boxes, plain_names(list(boxes), longest=LONGEST_NAME), strict=True))
+    places = dict(zip(boxes, _places(np.stack(list(boxes.values()))), strict=True))
+    labels = [f"{names[piece.name]} {sizes[size] if size else ''}".rstrip() for size, piece in pieces]
+    for (size, piece), label in zip(pieces, plain_names(labels, longest=LONGEST_NAME), strict=True):
+        block = document.blocks.new(_identifier(label))
+        facts = [f"Size Name:{sizes[size]}", *([f"Material:{material}"] if material else [])]
+        _draw_piece(block, piece, names[piece.name], facts)
+        space.add_blockref(block.name, _mm(places[piece.name]), dxfattribs={"layer": size_layers[size]})
+    [pattern, *_] = patterns.values()
     style = [
         f"Style Name:{_plain(pattern.name, 'style')}",
         *([] if created is None else [f"Creation Date:{created:%d-%m-%Y}"]),
         f"Author:gcd_dataset;gcd_dataset;{__version__}",
-        f"Sample Size:{size}",
+        f"Sample Size:{sample_size}",
         "Grade Rule Table:",
         "Units:METRIC",
         STANDARD,
@@ -160,13 +178,17 @@ def _write_lines(space: Any, lines: Iterable[str], at: Float[np.ndarray, "2"], h
 # --------------------------------------------------------------------------------------------------------------- sheet
 
 
-def _places(pieces: tuple[CutPiece, ...]) -> Float[np.ndarray, "p 2"]:
-    """Insertion points of the pieces on one sheet [cm]."""
-    boxes = np.stack([piece.box for piece in pieces])
+def _places(boxes: Float[np.ndarray, "p 2 2"]) -> Float[np.ndarray, "p 2"]:
+    """Insertion points of pieces on one sheet, from their boxes [cm]."""
     sizes = boxes[:, 1] - boxes[:, 0]
     area = float((sizes + GAP).prod(axis=1).sum())
     corners, _ = pack(sizes, width=max(float(sizes[:, 0].max()), math.sqrt(ASPECT * area)), gap=GAP)
     return corners - boxes[:, 0]
+
+
+def _identifier(name: str) -> str:
+    """The name of a block or a layer."""
+    return re.sub(r"[^A-Za-z0-9-]", "_", name)
 
 
 def _plain(name: str, stem: str) -> str:
@@ -179,7 +201,7 @@ def _escaped(text: str) -> str:
     return "".join(chr(unit) if unit < 128 else f"\\U+{unit:04X}" for unit in units)
 
 
-def _size_and_material(garment: Sample | Pattern) -> tuple[str, str]:
+def _size_and_material(garment: Sample | Pattern | Graded) -> tuple[str, str]:
     """Name of the size, the body for which a sample was cut, and of the fabric."""
     if not isinstance(garment, Sample):
         return BASE_SIZE, ""

@@ -1,5 +1,6 @@
 """The checks shared by all exports: suffix, drape, optional libraries; the body of a sample."""
 
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.fitting import Fitting
 
 EXTRA = "export"
+Graded: TypeAlias = Mapping[str, Pattern]
+"""A garment in several sizes: name of each size to its pattern, in the order of the sizes."""
 Draped: TypeAlias = Union[Sample, "Fitting"]
 """A garment with a drape: of a data set, or as ``drape_patterns`` makes it."""
 
@@ -36,9 +39,13 @@ def require_suffix(path: Path | str, *suffixes: str) -> Path:
     return path
 
 
-def pattern_of(garment: Sample | Pattern) -> Pattern:
-    """The pattern of a sample, or the pattern itself."""
-    return garment.pattern if isinstance(garment, Sample) else garment
+def patterns_of(garment: Sample | Pattern | Graded) -> Graded:
+    """The pattern of each size; of a garment in one size by the name "". Raises ``ConfigError`` without sizes."""
+    if not isinstance(garment, Mapping):
+        return {"": garment.pattern if isinstance(garment, Sample) else garment}
+    if not garment:
+        raise ConfigError("a graded garment without sizes: give the pattern of one size or more")
+    return garment
 
 
 def key_of(garment: Draped) -> str:

@@ -9,7 +9,7 @@ a plain name stands beside it. Bookmarks hold all names.
 
 import contextlib
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from string import ascii_uppercase
@@ -21,9 +21,10 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, arc_centre, from_frame
 from gcd_dataset.errors import ConfigError, did_you_mean, shown
-from gcd_dataset.exports.inputs import optional, pattern_of, require_suffix
+from gcd_dataset.exports.inputs import Graded, optional, patterns_of, require_suffix
 from gcd_dataset.exports.pieces import CutPiece, cut_pieces
 from gcd_dataset.files import plain_names, write_whole
+from gcd_dataset.generator.lay_plan import RGB, boxes_by_name, seam_colour
 from gcd_dataset.records import Panel, Pattern, Sample
 
 ROUNDING = 1e-9  # cm
@@ -170,6 +171,7 @@ POINTS = 72 / 2.54  # of a PDF in a centimetre
 CUT_WIDTH, SEW_WIDTH, GRAIN_WIDTH, FRAME_WIDTH = 0.035, 0.02, 0.025, 0.01  # cm
 DASH = (0.4, 0.2)  # cm, of the sew line
 GREY, PALE = 0.45, 0.85
+BLACK: RGB = (0, 0, 0)
 ARC_STEP = np.radians(30.0)  # an arc of 30° differs from its Bézier curve by 4e-7 of the radius
 NAME, SMALL, TINY = 0.8, 0.42, 0.32  # cm, sizes of letters
 NAME_SHARE, NAME_HEIGHT = 0.8, 0.12  # size of a name, at most: share of its room, of the height of the piece
@@ -185,8 +187,10 @@ ASIAN_FONTS = {"gbk": "STSong-Light", "euc_kr": "HYSMyeongJo-Medium"}
 LONGEST_NAME = 60  # letters of a name that is drawn
 
 
-def pdf(garment: Sample | Pattern, path: Path | str, *, seam_allowance: float = 1.0, paper: str = "a4") -> None:
-    """Write the pattern as PDF.
+def pdf(
+    garment: Sample | Pattern | Graded, path: Path | str, *, seam_allowance: float = 1.0, paper: str = "a4"
+) -> None:
+    """Write the pattern as PDF, or of a graded garment those of all sizes, pieces of one name over one another.
 
     ``seam_allowance``: cloth beyond the sew line [cm]; ``paper``: a name of ``PAPERS``. Raises ``ConfigError`` for a
     name that does not end in ``.pdf``, an unknown paper or an allowance out of range, ``PatternError`` for a pattern
@@ -197,12 +201,11 @@ def pdf(garment: Sample | Pattern, path: Path | str, *, seam_allowance: float = 
     metrics, fonts = (optional(f"reportlab.pdfbase.{module}") for module in ("pdfmetrics", "cidfonts"))
     for font in ASIAN_FONTS.values():
         metrics.registerFont(fonts.UnicodeCIDFont(font))
-    size, pattern = paper_named(paper), pattern_of(garment)
-    pieces = cut_pieces(pattern, seam_allowance=seam_allowance)
-    sheet = _sheet(pieces, pattern, size, seam_allowance)
+    size, patterns = paper_named(paper), patterns_of(garment)
+    sheet = _sheet(patterns, size, seam_allowance)
     file = io.BytesIO()
     canvas = canvas_class(file, pagesize=(size.width * POINTS, size.height * POINTS), invariant=1, pageCompression=1)
-    canvas.setTitle(shown(pattern.name))
+    canvas.setTitle(shown(next(iter(patterns.values())).name))
     canvas.setCreator("gcd_dataset")
     if not size.is_large:
         _begin(canvas)
@@ -212,8 +215,8 @@ def pdf(garment: Sample | Pattern, path: Path | str, *, seam_allowance: float = 
         _begin(canvas)
         _draw_page(canvas, sheet, page, number)
         canvas.showPage()
-    for piece in pieces:
-        canvas.addOutlineEntry(piece.name, piece.name)
+    for name in sheet.names:
+        canvas.addOutlineEntry(name, name)
     canvas.save()
     write_whole(path, file.getvalue())
 
@@ -223,22 +226,38 @@ class _PaperSheet:
     """All that is drawn: the pieces, in their places, and the legend."""
 
     name: str
-    pieces: tuple[CutPiece, ...]
-    names: list[tuple[str, str]]
-    """Of the pieces: as drawn, and in Latin letters."""
-    shifts: Float[np.ndarray, "p 2"]
-    """From each panel's plane to the sheet, y up [cm]."""
+    sizes: Mapping[str, tuple[CutPiece, ...]]
+    """The pieces of each size."""
+    names: Mapping[str, tuple[str, str]]
+    """Name of a piece: as drawn, and in Latin letters."""
+    cloth: Mapping[str, Float[np.ndarray, "2"]]
+    """Name of a piece: width and height of its cloth, in all sizes [cm]."""
+    shifts: Mapping[str, Float[np.ndarray, "2"]]
+    """Name of a piece: from its panel's plane to the sheet, y up [cm]."""
     tiling: Tiling
     legend_at: tuple[float, float] | None
     """Upper left corner of the legend on the sheet; ``None``: on a page of its own."""
     allowance: float
 
+    def drawn(self) -> Iterator[tuple[CutPiece, str, RGB, bool]]:
+        """Each piece, its size, the colour of the size, and whether no smaller size has the piece."""
+        known: set[str] = set()
+        for number, (size, pieces) in enumerate(self.sizes.items()):
+            for piece in pieces:
+                yield piece, size, seam_colour(number) if len(self.sizes) > 1 else BLACK, piece.name not in known
+                known.add(piece.name)
 
-def _sheet(pieces: tuple[CutPiece, ...], pattern: Pattern, paper: Paper, allowance: float) -> _PaperSheet:
-    boxes = np.stack([piece.box for piece in pieces])
-    sizes = boxes[:, 1] - boxes[:, 0] + CUT_WIDTH
-    lows = boxes[:, 0] - 0.5 * CUT_WIDTH
-    cloth = [shapely.Polygon(piece.cut - low) for piece, low in zip(pieces, lows, strict=True)]
+
+def _sheet(patterns: Graded, paper: Paper, allowance: float) -> _PaperSheet:
+    pieces = {size: cut_pieces(pattern, seam_allowance=allowance) for size, pattern in patterns.items()}
+    every = [piece for found in pieces.values() for piece in found]
+    boxes = boxes_by_name((piece.name, piece.box) for piece in every)
+    low, high = np.stack(list(boxes.values()), axis=1)
+    sizes, lows = high - low + CUT_WIDTH, low - 0.5 * CUT_WIDTH
+    cloth = [
+        shapely.union_all([shapely.Polygon(piece.cut - low) for piece in every if piece.name == name])
+        for name, low in zip(boxes, lows, strict=True)
+    ]
     if paper.is_large:
         sizes, cloth = np.vstack([sizes, LEGEND]), [*cloth, shapely.box(0, 0, *LEGEND)]
     tiling = tile(sizes, cloth, paper)
@@ -246,8 +265,12 @@ def _sheet(pieces: tuple[CutPiece, ...], pattern: Pattern, paper: Paper, allowan
     if paper.is_large:
         x, y = tiling.corners[-1].tolist()
         legend_at = (x, y + LEGEND[1])
-    [(name, _)], names = _names([pattern.name], "pattern"), _names([piece.name for piece in pieces], "piece")
-    return _PaperSheet(name, pieces, names, tiling.corners[: len(pieces)] - lows, tiling, legend_at, allowance)
+    [pattern, *_] = patterns.values()
+    [(name, _)], names = _names([pattern.name], "pattern"), dict(zip(boxes, _names(list(boxes), "piece"), strict=True))
+    shifts = dict(zip(boxes, tiling.corners[: len(boxes)] - lows, strict=True))
+    return _PaperSheet(
+        name, pieces, names, dict(zip(boxes, high - low, strict=True)), shifts, tiling, legend_at, allowance
+    )
 
 
 # --------------------------------------------------------------------------------------------------------------- pages
@@ -269,11 +292,16 @@ def _draw_page(canvas: Any, sheet: _PaperSheet, page: Page, number: int) -> None
     canvas.clipPath(clip, stroke=0, fill=0)
     canvas.translate(MARGIN - x, MARGIN + height - y)  # the sheet, y up
     window = shapely.box(x, y - height, x + width, y)
-    for piece, names, shift in zip(sheet.pieces, sheet.names, sheet.shifts, strict=True):
+    for piece, size_name, ink, is_first in sheet.drawn():
+        shift = sheet.shifts[piece.name]
         if shapely.Polygon(piece.cut + shift).intersects(window):
             canvas.saveState()
             canvas.translate(*shift.tolist())
-            _draw_piece(canvas, piece, *names)
+            _ink(canvas, ink)
+            _draw_piece(canvas, piece, size_name)
+            if is_first:
+                _ink(canvas, BLACK)
+                _write_texts(canvas, piece, *sheet.names[piece.name])
             canvas.bookmarkPage(piece.name)
             canvas.restoreState()
     if sheet.legend_at is not None:
@@ -332,6 +360,13 @@ def _draw_marks(canvas: Any, sheet: _PaperSheet, page: Page) -> None:
     canvas.restoreState()
 
 
+def _ink(canvas: Any, colour: RGB) -> None:
+    """Draw and write in this colour."""
+    shares = [channel / 255 for channel in colour]
+    canvas.setStrokeColorRGB(*shares)
+    canvas.setFillColorRGB(*shares)
+
+
 def _diamond(canvas: Any, x: float, y: float) -> None:
     """A registration mark: the half on each page complete each other."""
     _polygon(canvas, np.array([[x - MARK, y], [x, y + MARK], [x + MARK, y], [x, y - MARK]]))
@@ -346,8 +381,8 @@ def _cross(canvas: Any, x: float, y: float, reach: float) -> None:
 # -------------------------------------------------------------------------------------------------------------- pieces
 
 
-def _draw_piece(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
-    """A piece in the panel's plane [cm]."""
+def _draw_piece(canvas: Any, piece: CutPiece, size: str) -> None:
+    """The lines of a piece in the panel's plane [cm]; the name of its size at the corner furthest from the origin."""
     canvas.setLineWidth(CUT_WIDTH)
     _polygon(canvas, piece.cut)
     canvas.setLineWidth(SEW_WIDTH)
@@ -366,6 +401,12 @@ def _draw_piece(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
     canvas.setLineWidth(GRAIN_WIDTH)
     _arrow(canvas, *piece.grain)
     _arrow(canvas, *piece.grain[::-1])
+    x, y = (0.98 * piece.cut[np.linalg.norm(piece.cut, axis=1).argmax()]).tolist()
+    _text(canvas, size, x, y, TINY)
+
+
+def _write_texts(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
+    """Name of a piece and numbers of its seams."""
     _write_name(canvas, piece, name, latin)
     canvas.setFillGray(GREY)
     for number in piece.numbers:
@@ -465,8 +506,13 @@ def _draw_legend(canvas: Any, sheet: _PaperSheet, left: float, top: float) -> No
     _text(canvas, sheet.name, 0, -0.9, 0.9, font=BOLD, centred=False, room=LEGEND[0])
     tiling = sheet.tiling
     pages = f"{len(tiling.pages)} page{'s' if len(tiling.pages) > 1 else ''} {tiling.paper.name.upper()}"
-    facts = f"{len(sheet.pieces)} pieces on {pages}; seam allowance {sheet.allowance:g} cm, included"
+    facts = f"{len(sheet.names)} pieces on {pages}; seam allowance {sheet.allowance:g} cm, included"
     _text(canvas, facts, 0, -1.7, SMALL, centred=False)
+    column = LEGEND[0] / len(sheet.sizes)
+    for number, size in enumerate(sheet.sizes):
+        _ink(canvas, seam_colour(number))
+        _text(canvas, size, number * column, -12.85, SMALL, font=BOLD, centred=False, room=0.9 * column)
+    _ink(canvas, BLACK)
     canvas.setLineWidth(FRAME_WIDTH)
     canvas.rect(0, -2.4 - TEST_SQUARE, TEST_SQUARE, TEST_SQUARE)
     _text(canvas, "10 cm × 10 cm", 5.0, -7.2, 0.6, font=BOLD)
@@ -523,13 +569,13 @@ def _draw_key(canvas: Any, sheet: _PaperSheet, x: float, y: float) -> None:
 
 def _list_pieces(canvas: Any, sheet: _PaperSheet, top: float) -> None:
     """The pieces with the size of their cloth, in columns."""
-    columns = 2 if len(sheet.pieces) <= 10 else 3
-    rows, wide = -(-len(sheet.pieces) // columns), LEGEND[0] / columns
+    columns = 2 if len(sheet.names) <= 10 else 3
+    rows, wide = -(-len(sheet.names) // columns), LEGEND[0] / columns
     step = min(0.46, 2.9 / rows)
     size = min(TINY, 0.75 * step)
-    for number, (piece, (name, latin)) in enumerate(zip(sheet.pieces, sheet.names, strict=True)):
+    for number, (piece, (name, latin)) in enumerate(sheet.names.items()):
         column, row = divmod(number, rows)
-        width, height = (piece.box[1] - piece.box[0]).tolist()
+        width, height = sheet.cloth[piece].tolist()
         line = f"{latin}{'' if name == latin else f' ({name})'}: {width:.1f} × {height:.1f} cm"
         _text(canvas, line, column * wide, top - step * row, size, centred=False, room=wide - 0.3)
 
@@ -555,10 +601,10 @@ def _draw_map(canvas: Any, sheet: _PaperSheet, top: float) -> None:
                 canvas.setFillGray(GREY)
                 size = min(0.7, 0.3 * scale * min(across, down))
                 _text(canvas, page.label, left + 0.5 * scale * across, upper - 0.5 * scale * down - 0.35 * size, size)
-    canvas.setStrokeGray(0)
     canvas.setLineWidth(0.02)
-    for piece, shift in zip(sheet.pieces, sheet.shifts, strict=True):
-        _polygon(canvas, scale * (piece.cut + shift - [0.0, tiling.height]))
+    for piece, _, ink, _ in sheet.drawn():
+        _ink(canvas, ink)
+        _polygon(canvas, scale * (piece.cut + sheet.shifts[piece.name] - [0.0, tiling.height]))
     canvas.restoreState()
 
 

@@ -20,7 +20,7 @@ from gcd_dataset.curves import LINE, Curve, Point, curve_tangents, mirrored, sam
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.faults import require_valid
 from gcd_dataset.generator.lay_plan import SheetPanel, lay_out
-from gcd_dataset.records import Panel, Pattern, Record, Seam
+from gcd_dataset.records import Closure, Panel, Pattern, Record, Seam
 
 FOLD = "fold"
 """Label of an edge at which the cloth is folded: it gets no allowance."""
@@ -344,14 +344,15 @@ def _match_points(
     for dart in darts:
         for mouth in (dart.first, dart.second):
             yield mouth, (mouth - dart.tip) / np.linalg.norm(mouth - dart.tip), True
-    sewn = {ref.edge for seam in pattern.seams for ref in (seam.left, seam.right) if ref.panel == panel.name}
+    seams = [seam for seam in pattern.seams if seam.closure != Closure.OPEN]
+    sewn = {ref.edge for seam in seams for ref in (seam.left, seam.right) if ref.panel == panel.name}
     edges = range(len(panel.edges))
     for before, after in pairwise([*edges, 0]):
         arriving, leaving = _tangent(panel, before, 1.0), _tangent(panel, after, 0.0)
         turn = np.arccos(np.clip(arriving @ leaving, -1.0, 1.0))
         if turn < SMOOTH and {before, after} & sewn and not {before, after} & in_dart:
             yield np.array(panel.edge_ends(after)[0]), _outward(arriving + leaving), True
-    for seam in pattern.seams:
+    for seam in seams:
         for ref, flips in ((seam.left, False), (seam.right, not seam.right_wrong)):
             if ref.panel == panel.name and ref.edge not in in_dart:
                 yield from _balance_marks(panel, ref.edge, _shares(seam, pattern), flips)

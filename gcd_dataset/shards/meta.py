@@ -150,7 +150,7 @@ def read_meta(data: Bytes) -> dict[str, Any]:
     for name in forms:
         if name not in meta:
             raise ShardError(f"{name} is missing")
-    for name, form in (forms | SOMETIMES).items():
+    for name, form in {**forms, **SOMETIMES}.items():
         if name in meta and not _has_form(meta[name], form):
             raise ShardError(f"{name} is {found(meta[name])}")
     loaded = {name: value for name, value in meta.items() if name != SEAL}

@@ -86,7 +86,8 @@ class Desk:
     def draw(self, values: Mapping[str, Any], measures: Mapping[str, Any]) -> Drawing:
         """The pattern of the parameters and measures, by path. Raises ``ConfigError`` for values out of range."""
         design = self._design(values)
-        used = frozenset(name.replace("_", "-") for name in design.sections_used())
+        sections = design.sections_used() | ({"front"} if design.halves() else set())  # sewn fronts leave it unused
+        used = frozenset(name.replace("_", "-") for name in sections)
         if design.meta.upper is None and design.meta.bottom is None:
             return Drawing(None, ("empty: choose meta.upper or meta.bottom",), used)
         try:
@@ -164,5 +165,5 @@ def _control(path: str, space: Any, value: Any) -> Control:
     if isinstance(space, Integer | Real):
         kind = "whole" if isinstance(space, Integer) else "number"
         return Control(path, kind, value, float(space.low), float(space.high))
-    options = tuple(space.range)
+    options = tuple(map(plain, space.options))
     return Control(path, "flag" if set(options) == {True, False} else "choice", value, options=options)

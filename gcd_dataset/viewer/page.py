@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from gcd_dataset.curves import signed_area
 from gcd_dataset.generator.lay_plan import PALETTE, PLAIN_EDGE, LayPlan, SheetPanel, lay_out, seam_colour
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.records import BoxMesh, EdgeRef, Outcome, Pattern
+from gcd_dataset.records import BoxMesh, EdgeRef, Outcome, Pattern, Seam
 from gcd_dataset.viewer.content import Content
 from gcd_dataset.viewer.notebook import asset, inline_svg, picture, script_data, table
 
@@ -166,10 +166,16 @@ def _seam_data(pattern: Pattern) -> Iterator[dict[str, Any]]:
         sides = [_side(ref, lengths.get(ref.panel, [])) for ref in (seam.left, seam.right)]
         gathers = "" if 0.98 < ratio < 1.02 else f" · gathered {max(ratio, 1 / ratio):.2f} : 1"
         yield {
-            "text": f"seam {i} · {sides[0]} to {sides[1]}{gathers}",
+            "text": f"seam {i} · {sides[0]} to {sides[1]}{gathers}{_closure(seam)}",
             "colour": seam_colour(i),
             "panels": [number.get(ref.panel, -1) for ref in (seam.left, seam.right)],
         }
+
+
+def _closure(seam: Seam) -> str:
+    """How a seam is joined, in words; empty for one that is sewn from end to end."""
+    part = "" if seam.joined in ((0.0, 0.0), (0.0, 1.0)) else " from {:.0%} to {:.0%}".format(*seam.joined)
+    return "" if seam.is_plain else f" · {seam.closure}{part}"
 
 
 def _side(ref: EdgeRef, lengths: Sequence[float]) -> str:

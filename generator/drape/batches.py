@@ -14,13 +14,13 @@ from typing import Self
 import numpy as np
 import warp as wp
 
-from gcd_dataset.generator.device import WorkStream, keep_freed_memory, launch_lock, work_streams
+from gcd_dataset.generator.device import Resumable, WorkStream, keep_freed_memory, launch_lock, work_streams
 from gcd_dataset.generator.drape.body_field import HostField, host_field
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING, STOPPED
 from gcd_dataset.generator.drape.model import ClothModel, build_model
-from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_worlds
+from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off
 from gcd_dataset.generator.drape.slots import WIDTH, CoarseEnd, Slots, room_for, rooms_of
 from gcd_dataset.generator.drape.solver import nothing
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
@@ -211,6 +211,8 @@ class Lane:
         self._is_due = True
         """Whether garments may be placed: at first, and after others have left."""
         self._status: wp.array | None = None
+        self._collecting: Resumable[list[tuple[int, Drape]]] | None = None
+        """``_collect`` while it awaits results of the device."""
 
     @property
     def empty(self) -> bool:
@@ -218,21 +220,23 @@ class Lane:
         return not (self._passes or self._waiting or self._is_due)
 
     def ready(self, arrived: Callable[[], int]) -> bool:
-        """Whether ``advance`` has work: the queued frames have ended, or an empty lane may find jobs."""
+        """Whether ``advance`` has work: the device has ended the queued work, or an empty lane may find jobs."""
         if self.empty:
             return not self._pending.ended and arrived() > 0
         return not self._in_flight()
 
     def _in_flight(self) -> bool:
-        """Whether the device has not ended the queued frames."""
+        """Whether the device has not ended the queued frames, or the results that are awaited."""
         return self._status is not None and self._stream is not None and not self._stream.reached()
 
     def replaces(self, arrived: Callable[[], int]) -> bool:
-        """Whether the next ``advance`` collects or places garments, which takes the host some time.
+        """Whether the next ``advance`` begins to collect, or places garments, which takes the host some time.
 
         Counted as idle: each ended world that a garment could use (its own in the fine pass, one that waits, or a
         pending job), and each unused world for which a job has arrived.
         """
+        if self._collecting is not None:
+            return False
         if self._is_due or not self._passes:
             return True
         running = self._running()
@@ -249,18 +253,21 @@ class Lane:
 
     def queue_ahead(self) -> None:
         """Queue further frames if the lane has any in flight."""
-        if self._in_flight():
+        if self._collecting is None and self._in_flight():
             with self._on_stream():
                 self._queue(AHEAD)
 
     def advance(self, arrived: Callable[[], int]) -> list[tuple[int, Drape]]:
         """Queue frames; or collect the garments at rest; or place garments and queue their first frames.
 
-        Returns the number and drape of each collected garment.
+        Collecting takes several calls: each ends where the results of the device are awaited. Returns the number and
+        drape of each collected garment.
         """
         if not self._is_due and self.replaces(arrived):
+            self._collecting = self._collect()
+        if self._collecting is not None:
             with self._on_stream(urgent=True):
-                return self._collect()
+                return self._resume(self._collecting)
         if self._is_due:
             self._take_jobs()
             with self._on_stream(urgent=True):
@@ -272,32 +279,30 @@ class Lane:
                 self._queue(POLL_EVERY)
         return []
 
-    def _collect(self) -> list[tuple[int, Drape]]:
+    def _resume(self, collecting: Resumable[list[tuple[int, Drape]]]) -> list[tuple[int, Drape]]:
+        """The drapes, if they are collected; none if results are awaited."""
+        try:
+            next(collecting)
+        except StopIteration as end:
+            self._collecting, self._is_due = None, True
+            return list(end.value)
+        if self._stream is not None:
+            self._stream.mark()
+        return []
+
+    def _collect(self) -> Resumable[list[tuple[int, Drape]]]:
         """The drapes of the garments that have ended their last fine pass; those that cross are draped again."""
-        self._is_due = True
         if not self._passes:
             return []
         assert self._slots is not None
-        solver, passes = self._slots.solver, self._passes
-        state = solver.state
-        # Frames queued ahead may have ended more garments.
-        fetched = solver.mirror.fetch(state.status, state.frames, state.contacts.overfull)
-        status, frames, overfull = map(np.array, fetched)  # ``collect`` fetches too
+        assert self._status is not None
         if self._stream is not None:
             self._stream.free_dropped()
+        passes, status = self._passes, np.array(self._status.numpy())
         ended = [w for w in passes if status[w] != RUNNING]
+        self._waiting += yield from self._after_coarse([w for w in ended if passes[w].coarse], status)
         fine = [w for w in ended if passes[w].coarse is None]
-        drapes = collect(solver, [passes[w].fine for w in fine], fine)
-        slid = slid_worlds(solver, {w: passes[w].job for w in ended if passes[w].coarse and status[w] == STOPPED})
-        coarse = [w for w in ended if passes[w].coarse]
-        starts = self._coarse_ends([w for w in coarse if w not in slid and status[w] != DIVERGED])
-        for w in coarse:
-            if overfull[w] and passes[w].room_factor < MOST_ROOM:
-                self._waiting.append(passes[w].with_more_room())
-                continue
-            count = int(frames[w])
-            again = passes[w].restarted(count, self._config) if w in slid else passes[w].refined(starts.get(w), count)
-            self._waiting.append(again)
+        drapes = yield from collect(self._slots.solver, [passes[w].fine for w in fine], fine)
         finished: list[tuple[int, Drape]] = []
         for w, drape in zip(fine, drapes, strict=True):
             whole = replace(drape, frames=drape.frames + passes[w].coarse_frames)
@@ -313,25 +318,35 @@ class Lane:
             del passes[w]
         return finished
 
-    def _coarse_ends(self, worlds: Sequence[int]) -> dict[int, CoarseEnd]:
-        """The ends of the coarse drapes in some worlds."""
+    def _after_coarse(self, worlds: Sequence[int], status: np.ndarray) -> Resumable[list[Pass]]:
+        """The next passes of the garments in some worlds, whose coarse passes have ended."""
         if not worlds:
-            return {}
+            return []
         assert self._slots is not None
-        state, vertices = self._slots.solver.state, self._slots.solver.model.vertices
-        time, held, overfull = self._slots.solver.mirror.fetch(state.time, state.held, state.contacts.overfull)
-        return {
-            w: CoarseEnd.of(
-                coarse,
-                state.x[vertices[w]],
-                state.v[vertices[w]],
-                time=float(time[w]),
-                held=int(held[w]),
-                overfull=int(overfull[w]),
-            )
-            for w in worlds
-            if (coarse := self._passes[w].coarse) is not None
-        }
+        solver, passes = self._slots.solver, []
+        state, vertices = solver.state, solver.model.vertices
+        frames, time, held, overfull, x = yield from solver.mirror.fetch(
+            state.frames, state.time, state.held, state.contacts.overfull, state.x
+        )
+        for w in worlds:
+            ended, count, start = self._passes[w], int(frames[w]), None
+            assert ended.coarse is not None
+            if overfull[w] and ended.room_factor < MOST_ROOM:
+                passes.append(ended.with_more_room())
+            elif status[w] == STOPPED and slid_off(ended.job, x[vertices[w]]):
+                passes.append(ended.restarted(count, self._config))
+            else:
+                if status[w] != DIVERGED:
+                    start = CoarseEnd.of(
+                        ended.coarse,
+                        state.x[vertices[w]],
+                        state.v[vertices[w]],
+                        time=float(time[w]),
+                        held=int(held[w]),
+                        overfull=int(overfull[w]),
+                    )
+                passes.append(ended.refined(start, count))
+        return passes
 
     def _take_jobs(self) -> None:
         """Take a job for each free world. Not on the stream: jobs may wait for threads that launch kernels too."""
@@ -384,7 +399,7 @@ class Lane:
     def free(self) -> None:
         """Free the buffers, once the device has ended the frames in flight."""
         self.synchronize()
-        self._slots = self._status = None
+        self._slots = self._status = self._collecting = None
         self.synchronize()
 
     def _queue(self, frames: int) -> None:

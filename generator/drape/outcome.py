@@ -7,14 +7,14 @@ vertices. The positions of garments without self-crossings do not change.
 """
 
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float
 
-from gcd_dataset.generator.device import launch_lock, to_host
+from gcd_dataset.generator.device import Resumable, launch_lock
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import fell, find_keepers, off_body
 from gcd_dataset.generator.drape.kernels import untangling as kernels
@@ -26,7 +26,7 @@ from gcd_dataset.records import Drape, Outcome
 
 STEP = 1.0 / 120.0  # s
 ITERATIONS = 10  # conjugate gradient iterations in each step; 20 iterations untangle no more garments
-POLL_EVERY = 10  # steps between two reads of ``active`` from the device, each of which waits for it
+POLL_EVERY = 10  # steps between two reads of ``active`` from the device
 
 # See ``kernels.untangling.Untangling``. Tried on the 25 of 128 garments that crossed themselves at rest: crossing
 # stiffness 1.0, crossing move 0.6 cm and largest move 0.5 cm untangle 13 of them in 20 steps; 0.1, 3 cm and 1 cm
@@ -40,7 +40,7 @@ BODY_GRIP = 0.3
 MAX_MOVE = 1.0  # cm
 
 
-def untangle(solver: Solver, worlds: Bool[np.ndarray, " w"]) -> None:
+def untangle(solver: Solver, worlds: Bool[np.ndarray, " w"]) -> Resumable[None]:
     """Move the cloth of each given world until it has no self-crossings, at most ``config.untangling_steps`` steps.
 
     Each world ends in the state with the fewest crossings, which may be its first.
@@ -50,8 +50,10 @@ def untangle(solver: Solver, worlds: Bool[np.ndarray, " w"]) -> None:
         phase.begin(worlds)
     for number in range(1, solver.config.untangling_steps + 1):
         wp.capture_launch(phase.graph)
-        if number % POLL_EVERY == 0 and not to_host(phase.active).any():
-            break
+        if number % POLL_EVERY == 0:
+            [active] = yield from solver.mirror.fetch(phase.active)
+            if not active.any():
+                break
     with launch_lock:
         phase.end()
 
@@ -148,7 +150,7 @@ KEEPS_CROSSINGS = (Outcome.SETTLED, Outcome.THROUGH_BODY, Outcome.THROUGH_ITSELF
 """Outcomes of garments that came to rest on the body, with crossings or without."""
 
 
-def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> list[Drape]:
+def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> Resumable[list[Drape]]:
     """The drapes of some worlds of a batch; ``jobs[k]`` was draped in ``worlds[k]``."""
     if not worlds:
         return []
@@ -156,19 +158,18 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     with launch_lock:
         chosen = solver.chosen(np.isin(np.arange(model.n_worlds), worlds))
         counts = solver.counted(SELF_CROSSINGS, chosen)
-        # Read ``overfull`` now: the searches below may overflow their lists too. Copies, since they fetch as well.
-        crossings, overfull, status, frames = map(
-            np.array, fetch(counts, state.contacts.overfull, state.status, state.frames)
-        )
+    # Read ``overfull`` now: the searches below may overflow their lists too. Copies, since they fetch as well.
+    fetched = yield from fetch(counts, state.contacts.overfull, state.status, state.frames)
+    crossings, overfull, status, frames = map(np.array, fetched)
     crossing = (crossings > 0) & (status == DONE)
     if solver.config.untangling_steps and crossing.any():
-        untangle(solver, crossing)
+        yield from untangle(solver, crossing)
     with launch_lock:
         if solver.config.exact_finish:
             solver.leave_skin(chosen)
         solver.round_positions(chosen)
-        counts = [solver.counted(kernel, chosen) for kernel in CROSSING_COUNTS]
-        self_crossings, body_crossings, body_through, stretches, x = fetch(*counts, solver.stretches(), state.x)
+        results = [*(solver.counted(kernel, chosen) for kernel in CROSSING_COUNTS), solver.stretches(), state.x]
+    self_crossings, body_crossings, body_through, stretches, x = yield from fetch(*results)
     drapes = []
     for job, w in zip(jobs, worlds, strict=True):
         vertices = np.array(x[model.vertices[w]], np.float32)
@@ -227,12 +228,6 @@ def best_of(drapes: Sequence[Drape]) -> Drape:
 def _crossings(drape: Drape) -> int:
     """Crossing edges of all kinds: of cloth with cloth, of cloth with the body, of the body with cloth."""
     return drape.self_crossings + drape.body_crossings + drape.body_through
-
-
-def slid_worlds(solver: Solver, jobs: Mapping[int, DrapeJob]) -> set[int]:
-    """The worlds whose drape was stopped because the garment slid off; ``jobs``: the jobs of stopped worlds."""
-    x, vertices = solver.state.x, solver.model.vertices
-    return {w for w, job in jobs.items() if slid_off(job, to_host(x[vertices[w]]))}
 
 
 def slid_off(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> str:

@@ -98,14 +98,14 @@ class _Renderings:
         """Front and back of each garment; ``None`` where they were not asked for."""
         if self._plain is None:
             return [None] * len(self._batch)
-        pictures = [picture.rgb for picture in self._plain.pictures()]
+        pictures = self._plain.lend_rgb()
         return list(zip(pictures[::2], pictures[1::2], strict=True))
 
     def views(self) -> list[tuple[RenderedView, ...]]:
         """The drawn views of each garment. Call once."""
         if self._drawn is None:
             return [()] * len(self._batch)
-        pictures = iter(self._drawn.pictures())
+        pictures = iter(self._drawn.lend())
         return [
             tuple(finished_view(view, next(pictures), self._scenes[view.scene]) for view in views)
             for views in self._views

@@ -96,6 +96,7 @@ class ClientConnection:
         with contextlib.suppress(OSError):
             while (reply := self._replies.get()) is not None:
                 self._connection.send(reply)
+                del reply  # the next renderings use the memory of its pictures
         self.connected = False
 
 

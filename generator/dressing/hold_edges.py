@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from gcd_dataset.generator.dressing.frame import Wearer, placed_outline
 from gcd_dataset.generator.dressing.openings import ASIDE, Opening, edge_points, openings_of
-from gcd_dataset.records import BodyPart, EdgeRef, EdgeRole, Panel, PanelRole, Pattern
+from gcd_dataset.records import BodyPart, Closure, EdgeRef, EdgeRole, Panel, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
 
 COLLARS = (EdgeRole.RIGHT_COLLAR, EdgeRole.LEFT_COLLAR)
@@ -77,7 +77,7 @@ def _is_round_trunk(opening: Opening, wearer: Wearer) -> bool:
 
 
 def _collars(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) -> dict[EdgeRef, EdgeRole]:
-    """The edges of the neckline with their collar labels; edges across the middle get none."""
+    """The edges of the neckline with their collar labels; edges across the middle and of an open seam get none."""
     # Hoods and collars: most of them lies above the nape.
     necks = {panel.name for panel in pattern.panels if np.median(placed_outline(panel)[:, 1]) > wearer.nape}
     sewn = {side: other for s in pattern.seams for side, other in ((s.left, s.right), (s.right, s.left))}
@@ -85,8 +85,9 @@ def _collars(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) ->
     for opening in openings:
         if abs(opening.centre[0]) < ASIDE:
             ends += [ref for ref in opening.edges if ref.panel not in necks]
+    opened = {side for seam in pattern.seams if seam.closure == Closure.OPEN for side in (seam.left, seam.right)}
     found = {}
-    for ref in ends:
+    for ref in (ref for ref in ends if ref not in opened):
         line = edge_points(pattern.panel(ref.panel), ref.edge)
         if pattern.panel(ref.panel).label != PanelRole.BODY or line[:, 1].max() < wearer.waist + OVER_WAIST:
             continue

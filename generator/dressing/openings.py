@@ -1,4 +1,4 @@
-"""Openings of the sewn garment: closed chains of edges without a seam."""
+"""Openings of the sewn garment: closed chains of edges that are not joined."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.curves import sample_curve
-from gcd_dataset.records import EdgeRef, Panel, Pattern
+from gcd_dataset.records import Closure, EdgeRef, Panel, Pattern
 
 ASIDE = 8.0  # cm from the middle to the centre of an opening: openings further out belong to an arm or a leg
 POINTS = 9  # sample points of an edge
@@ -75,6 +75,8 @@ def _chains(pattern: Pattern) -> Iterable[tuple[EdgeRef, ...]]:
     """The chains of free edges, followed across the seams between them."""
     partner: dict[EdgeRef, tuple[EdgeRef, int]] = {}
     for seam in pattern.seams:
+        if seam.closure == Closure.OPEN:
+            continue
         sign = -1 if seam.right_wrong else 1
         partner[seam.left], partner[seam.right] = (seam.right, sign), (seam.left, sign)
     sizes = {panel.name: len(panel.edges) for panel in pattern.panels}

@@ -115,7 +115,7 @@ class CapeDesign(Design):
     neck: float = real(1.15, 1.05, 1.5)
     """Girth of the neck opening, as a fraction of the base of the neck."""
     closed: float = real(0.2, 0.1, 1.0)
-    """Sewn length of the front opening from the neck down, as a fraction of the whole."""
+    """Sewn part of the front edge from the neck down, as a fraction of the whole (``Seam.closed``)."""
 
 
 def cape(size: Measurements, design: CapeDesign) -> Component:
@@ -128,7 +128,7 @@ def cape(size: Measurements, design: CapeDesign) -> Component:
     mirror = left.piece("left_cape_front")
     return (
         Component.of(right, left, back)
-        .sewn(front.along("closing"), mirror.along("closing"))
+        .sewn(front.along("centre"), mirror.along("centre"), closed=(1.0 - design.closed, 1.0))
         .sewn(front.along("shoulder", "side"), back.along("shoulder", "side"))
         .sewn(mirror.along("shoulder", "side"), back.against("left_shoulder", "left_side"))
     )
@@ -137,10 +137,7 @@ def cape(size: Measurements, design: CapeDesign) -> Component:
 def _right_front(size: Measurements, design: CapeDesign, hole: NeckHole) -> Outline:
     """The right front: from the side of the neck down the shoulder to the hem, and up the middle to the throat."""
     neck, drawn = right_neck(hole, Neckline.CIRCLE, front=True), _to_hem(size, design, hole)
-    closed_to = -hole.front + design.closed * (drawn.pen[1] + hole.front)
-    if design.closed < 1:
-        drawn = drawn.line(0, closed_to, name="opening")
-    return drawn.line(0, -hole.front, name="closing").then(*(stroke.reversed() for stroke in reversed(neck)))
+    return drawn.line(0, -hole.front, name="centre").then(*(stroke.reversed() for stroke in reversed(neck)))
 
 
 def _to_hem(size: Measurements, design: CapeDesign, hole: NeckHole) -> Outline:

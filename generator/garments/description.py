@@ -66,6 +66,9 @@ class Tag(Enum):
     TURTLENECK = "turtleneck", "a standing collar"
     LAPEL = "lapel", "a turned collar"
     HOODED = "hooded", "a hood"
+    OPEN_FRONT = "open front", "fronts that are not joined, as of a cardigan"
+    ZIP = "zip", "fronts joined by a zip"
+    BUTTONS = "buttons", "fronts that overlap, joined by buttons"
     ASYMMETRIC = "asymmetric", "halves of a shirt that differ, a slanted hem, or an off-centre skirt or tier"
     RUFFLED = "ruffled", f"gathers of {RUFFLES} or more at waist, levels, sleeves or cuffs"
 

@@ -14,6 +14,7 @@ import yaml
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.garments.circle_skirt import CIRCLE_SKIRT, FlareSkirtDesign
+from gcd_dataset.generator.garments.front import FrontDesign
 from gcd_dataset.generator.garments.garment import Garment, one_of, section_of
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT, GatheredSkirtDesign
 from gcd_dataset.generator.garments.godet_skirt import GODET_SKIRT, GodetSkirtDesign
@@ -84,6 +85,7 @@ class GarmentDesign(Design):
     pencil_skirt: PencilSkirtDesign = section_of(PENCIL_SKIRT)
     levels_skirt: LevelsSkirtDesign = section_of(LEVELS_SKIRT)
     pants: PantsDesign = section_of(PANTS)
+    front: FrontDesign = part(FrontDesign, added=True)
 
     def sections_used(self) -> frozenset[str]:
         """The names of the fields that the garment is drawn from."""
@@ -142,6 +144,11 @@ def read_design(path: Path | str) -> GarmentDesign:
     content = read_toml(path) if is_toml else read_yaml(path, "design file", error=ConfigError)  # reads JSON too
     sections = {entry.key for entry in DesignSpace.declared(GarmentDesign).entries}
     if not isinstance(content, Mapping) or content.keys().isdisjoint({"design", *sections}):
+        if isinstance(content, Mapping) and "pattern" in content:
+            raise ConfigError(
+                f"{path}: a specification without its design: its panels fit one body and cannot be drawn for another: "
+                "give the design_params.yaml that it was drawn from"
+            )
         names = short(list(islice(content, 3)) if isinstance(content, Mapping) else content)
         raise ConfigError(f"{path}: holds {names}, no design: give GarmentCode's design_params.yaml, or ours")
     try:

@@ -36,11 +36,12 @@ from gcd_dataset.generator.garments.design import (
     possible_kinds,
     upper_choice,
 )
+from gcd_dataset.generator.garments.front import FrontDesign
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.space import DesignSpace, draw, with_new_numbers
 from gcd_dataset.generator.garments.wearable import DrawnDesign, Redraw, wearable
-from gcd_dataset.records import Measurements
+from gcd_dataset.records import Closure, Measurements
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as stream
 
@@ -70,10 +71,12 @@ def sample_draft(
     ``narrow``: maps the uppers and the bottoms to those that are drawn from.
     """
     design = GarmentDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), _sections(overlay)["meta"], narrow))
-    design = _with_sections(design, _own_sections(design), rng, overlay)
+    design = _with_sections(design, _own_sections(design, overlay), rng, overlay)
     bottom = design.meta.bottom.garment if design.meta.bottom else None
     parts = {part.field for part in bottom.parts(design)} if bottom else set()
     design = _with_sections(design, parts, rng, overlay)
+    if design.front.closure is Closure.SEWN:
+        design = replace(design, front=FrontDesign())
     return design if design.left.enable_asym else replace(design, left=LeftDesign())
 
 
@@ -171,20 +174,25 @@ def _held_up(
     if not trousers:
         return draft, {}
     replaced = replace(draft, meta=replace(meta, bottom=bottoms.narrowed(trousers).draw(rng)))
-    replaced = _with_sections(replaced, _own_sections(replaced) - {"waistband"}, rng, overlay)
+    replaced = _with_sections(replaced, _own_sections(replaced, overlay) - {"waistband"}, rng, overlay)
     default, unused = GarmentDesign(), draft.sections_used() - replaced.sections_used()
     replaced = replace(replaced, **{name: getattr(default, name) for name in unused})
     return replaced, {Redraw("nothing_holds", "meta.bottom"): 1}
 
 
-def _own_sections(design: GarmentDesign) -> set[str]:
-    """The fields of the garments of a design, except the parts of a combined bottom."""
+def _own_sections(design: GarmentDesign, overlay: Overlay) -> set[str]:
+    """The fields of the garments of a design, except the parts of a combined bottom.
+
+    The front of a shirt is one of them if the overlay allows a closure: other data sets keep their random numbers.
+    """
     meta = design.meta
     sections = {"waistband"} if meta.wb else set()
     if meta.upper:
         sections.update(meta.upper.garment.sections_used(design))
     if design.halves():
         sections.add("left")
+        if set(choice_of(_sections(overlay)["front"], "closure").weighted_options) != {Closure.SEWN}:
+            sections.add("front")
     return sections | ({meta.bottom.garment.field} if meta.bottom else set())
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self, TypeAlias
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.collar import with_collar
+from gcd_dataset.generator.garments.front import with_extension
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend, folds
 from gcd_dataset.generator.garments.neckline import NecklineDesign, half_neckline, neckline_drop, worn_neckline
 from gcd_dataset.generator.garments.sleeve import Armhole, SleeveDesign, armhole, with_sleeve
@@ -236,13 +237,16 @@ def right_half(
     *,
     fitted: bool,
     mends: frozenset[Mend],
+    extension: float = 0.0,
 ) -> Component:
-    """Front, back, sleeve and collar of the right side.
+    """Front, back, sleeve and collar of the right side, the front ``extension`` cm wider at the centre.
 
     Offers the edges that meet the left half as ``*_centre``, the hem as ``front_bottom`` and ``back_bottom``, each
     walked away from the centre, and the narrowest ring of a sleeve's cuff as ``band``.
     """
     half = right_torso(size, shirt, neck, arm, fitted=fitted, mends=mends)
+    if extension:
+        half = with_extension(half, FRONT_NAME, extension)
     if not (fitted and shirt.strapless):
         half = half if arm.sleeveless else with_sleeve(size, arm, half, mends=mends)
         half = with_collar(size, neck.component, half)

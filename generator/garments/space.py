@@ -85,9 +85,9 @@ def flag(default: bool, *, keep: float | None = None) -> Any:
     return _parameter(Flag(default, keep, (True, False)))
 
 
-def part(kind: type[Design], *, key: str | None = None) -> Any:
-    """A design inside a design; ``key``: its name in design files, if different from the field's name."""
-    return field(default_factory=kind, metadata={"part": kind, "key": key})
+def part(kind: type[Design], *, key: str | None = None, added: bool = False) -> Any:
+    """A design inside a design; ``key``: its name in design files, if different; ``added``: see ``with_parts``."""
+    return field(default_factory=kind, metadata={"part": kind, "key": key} | ({"added": True} if added else {}))
 
 
 def with_parts(kinds: Mapping[str, type[Design]]) -> Callable[[type[P]], type[P]]:

@@ -22,7 +22,7 @@ from gcd_dataset.generator.garments.trunk import girth_at_rise, girth_below_wais
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.generator.garments.waistband import band_rise
 from gcd_dataset.generator.pattern import Component
-from gcd_dataset.records import Measurements
+from gcd_dataset.records import Closure, Measurements
 
 # Of 52 draped shirts the hem hung 3.0 cm lower than drawn, quartiles 1.4 and 4.5: cloth gives under its weight, and
 # the shoulders of a shirt are wider than the wearer's. Of 16 fitted shirts, 0.5 cm.
@@ -44,11 +44,16 @@ def rings(size: Measurements, design: GarmentDesign) -> Iterator[Ring]:
 
 
 def trunk_rings(size: Measurements, design: GarmentDesign) -> Iterator[Ring]:
-    """The seams between the parts, a straight shirt at the hips, and the hem of a garment without a bottom."""
+    """The seams between the parts, a straight shirt at the hips, and the hem of a garment without a bottom.
+
+    A shirt with an open front makes no ring but the seam to the part below it.
+    """
     hung = _hung(size, design)
     for (above, hem), (below, _) in pairwise(hung):
         cloth = min(above.length("bottom"), below.length("top"))
         yield Ring("a waist seam", cloth, girth_below_waist(size, hem), WIDER_WAIST)
+    if design.front.closure is Closure.OPEN and design.halves():
+        return  # the front gives way
     yield from _shirt_over_hips(size, design, hung[0][1])
     last, hem = hung[-1]
     if design.meta.bottom is None and "bottom" in last.interfaces:

@@ -1,15 +1,18 @@
 """Uppers: straight and fitted shirts, sewn of two halves, and their records."""
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
+from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.description import Description, Setting
+from gcd_dataset.generator.garments.front import TAGS as FRONT_TAGS
+from gcd_dataset.generator.garments.front import FrontDesign, front_details, sewn_fronts
 from gcd_dataset.generator.garments.garment import UpperGarment
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.shirt import ShirtDesign, UpperHalf, right_half
 from gcd_dataset.generator.pattern import Component, backwards
-from gcd_dataset.records import Measurements
+from gcd_dataset.records import Closure, Measurements
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.garments.design import GarmentDesign
@@ -199,20 +202,36 @@ def _one_shoulder(setting: Setting, halves: tuple[UpperHalf, ...], *, side: int)
 
 def shirt(size: Measurements, design: "GarmentDesign", *, fitted: bool, mends: frozenset[Mend]) -> Component:
     """Two halves sewn at the centres; offers the ring ``bottom``."""
-    return _sewn_halves(size, design.right_half(), design.left_half(), fitted=fitted, mends=mends)
+    halves = design.right_half(), design.left_half()
+    return _sewn_halves(size, *halves, design.front, fitted=fitted, mends=mends)
 
 
 @lru_cache(maxsize=8)  # designs that differ in waistband or bottom have the same shirt
 def _sewn_halves(
-    size: Measurements, right_design: UpperHalf, left_design: UpperHalf | None, *, fitted: bool, mends: frozenset[Mend]
+    size: Measurements,
+    right_design: UpperHalf,
+    left_design: UpperHalf | None,
+    front: FrontDesign,
+    *,
+    fitted: bool,
+    mends: frozenset[Mend],
 ) -> Component:
     """The shirt of two halves; ``left_design``: ``None`` for the mirror image of the right one."""
-    right = right_half(size, *right_design, fitted=fitted, mends=mends)
-    other = right if left_design is None else right_half(size, *left_design, fitted=fitted, mends=mends)
+    drawn = partial(right_half, size, fitted=fitted, mends=mends, extension=front.extension)
+    right = drawn(*right_design)
+    other = right if left_design is None else drawn(*left_design)
+    is_strapless = fitted and any(half is not None and half[0].strapless for half in (right_design, left_design))
+    if front.closure is Closure.OPEN and is_strapless:
+        raise PatternError(
+            "a strapless top with an open front falls off: set front.closure to zip, or shirt.strapless to false"
+        )
     left = other.mirrored("right", "left")
     whole = Component.of(right, left)
     for name in sorted(name for name in right.interfaces if name.endswith("_centre")):
-        whole = whole.sewn(right.interface(name), left.interface(name))
+        if name == "front_centre":
+            whole = sewn_fronts(whole, right.interface(name), left.interface(name), front)
+        else:
+            whole = whole.sewn(right.interface(name), left.interface(name))
     return whole.offering(
         bottom=backwards(right.interface("front_bottom"))
         + left.interface("front_bottom")
@@ -238,11 +257,15 @@ class Shirt(UpperGarment[ShirtDesign]):
         return size.waist_line if self.at_waist else self.section_design(design).length * size.waist_line
 
     def describe(self, setting: Setting, design: "GarmentDesign") -> Description:
-        return describe_shirt(setting, design.halves(), fitted=self.fitted)
+        described = describe_shirt(setting, design.halves(), fitted=self.fitted)
+        closure = design.front.closure
+        tags = (FRONT_TAGS[closure],) if closure in FRONT_TAGS else ()
+        return replace(described, tags=(*described.tags, *tags)).adding(*front_details(design.front))
 
     def sections_used(self, design: "GarmentDesign") -> tuple[str, ...]:
         left = design.left_half() is not None
-        return ("shirt", "collar", "sleeve") + (("left",) if left else ())
+        is_closed = design.front.closure is not Closure.SEWN
+        return ("shirt", "collar", "sleeve") + (("left",) if left else ()) + (("front",) if is_closed else ())
 
 
 FITTED_SHIRT = Shirt(name="FittedShirt", fitted=True, at_waist=True, mends=Shirt.mends | {Mend.FOLDED_DART})

@@ -276,7 +276,7 @@ def _labels(
         left, right = label_of.pop(seam.left), label_of.pop(seam.right)
         if left and right and left != right:
             raise MeshError(f"{seam_name(number, seam)} joins labels {left} and {right}: remove one of them")
-        found.setdefault(left or right, []).append(vertex[edges[seam.left]])
+        found.setdefault(left or right, []).extend([vertex[edges[seam.left]], vertex[edges[seam.right]]])
     for ref, label in label_of.items():
         found.setdefault(label, []).append(vertex[edges[ref][1:-1]])
     size = int(vertex.max(initial=-1)) + 1

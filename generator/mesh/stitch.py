@@ -114,16 +114,27 @@ def seam_name(number: int, seam: Seam) -> str:
 def stitch_points(
     seams: tuple[Seam, ...], sides: list[tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]]
 ) -> SewnPoints:
-    """The pairs of points along all seams, each in the order of its left edge.
+    """The pairs of points that meet in the joined part of each seam, each in the order of its left edge.
 
+    The ends of a joined part are moved to the nearest points; a part without two points joins nothing.
     ``sides``: the points of the left and right edge of each seam, both from start to end.
     """
     if not seams:
         return SewnPoints(*(np.zeros(0, int) for _ in range(3)))
-    left = [side for side, _ in sides]
-    right = [side if seam.right_wrong else side[::-1] for seam, (_, side) in zip(seams, sides, strict=True)]
+    joined = [_joined_points(seam, len(side)) for seam, (side, _) in zip(seams, sides, strict=True)]
+    left = [side[part] for part, (side, _) in zip(joined, sides, strict=True)]
+    right = [
+        (side if seam.right_wrong else side[::-1])[part]
+        for seam, part, (_, side) in zip(seams, joined, sides, strict=True)
+    ]
     seam = np.repeat(np.arange(len(seams)), [len(side) for side in left])
     return SewnPoints(np.concatenate(left), np.concatenate(right), seam)
+
+
+def _joined_points(seam: Seam, count: int) -> slice:
+    """The points in the joined part of a seam, of ``count`` along its left edge."""
+    first, last = (round(min(max(share, 0.0), 1.0) * (count - 1)) for share in seam.joined)
+    return slice(first, last + 1 if last > first else first)
 
 
 def merge_points(sewn: SewnPoints, panel: Int[np.ndarray, " c"], seams: tuple[Seam, ...]) -> Int[np.ndarray, " c"]:

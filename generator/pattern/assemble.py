@@ -13,6 +13,8 @@ from gcd_dataset.generator.pattern.stroke import Stroke
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import panel_order
 
+DIGITS = 12  # decimals of the joined share of a seam: 1 - 0.7 becomes 0.3
+
 
 class _WalkedStroke(NamedTuple):
     """A stroke of a piece in the walk of an interface."""
@@ -59,12 +61,14 @@ def assemble_and_measure(component: Component, name: str) -> tuple[Pattern, tupl
         keys = [(stroke, part) for stroke, own_parts in enumerate(divided) for part in range(len(own_parts))]
         numbers[panel] = dict(zip(keys if outward[panel] else reversed(keys), range(len(keys)), strict=True))
     seams = []
-    for walk in walks:
-        for sides in zip(*(_parts(side, divisions) for side in walk), strict=True):
+    for join, walk in zip(component.joins, walks, strict=True):
+        closed = _closed_parts(join.closed, walk[0], divisions)
+        for (start, end), *sides in zip(closed, *(_parts(side, divisions) for side in walk), strict=True):
             left, right = (EdgeRef(walked.panel, numbers[walked.panel][walked.stroke, part]) for walked, part in sides)
             # The walks and the directions of the loops decide which ends meet.
             with_loop = [outward[walked.panel] != walked.backward for walked, _ in sides]
-            seams.append(Seam(left, right, right_wrong=with_loop[0] == with_loop[1]))
+            part = (start, end) if with_loop[0] else (round(1.0 - end, DIGITS), round(1.0 - start, DIGITS))
+            seams.append(Seam(left, right, with_loop[0] == with_loop[1], join.closure, part))
     order = panel_order(tuple(panels.values()))
     return Pattern(name, tuple(panels[panel] for panel in order), tuple(seams)), _measured(component, walks)
 
@@ -139,6 +143,22 @@ def _parts(
         order = reversed(range(count)) if walked.backward else range(count)
         parts += [(walked, part) for part in order]
     return parts
+
+
+def _closed_parts(
+    closed: tuple[float, float], walk: Sequence[_WalkedStroke], divisions: Mapping[tuple[str, int], list[float]]
+) -> list[tuple[float, float]]:
+    """The joined share of each part of a walk, in the direction of the walk."""
+    parts = _parts(walk, divisions)
+    if closed == (0.0, 1.0):
+        return [closed] * len(parts)
+    lengths = []
+    for walked, part in parts:
+        bounds = [0.0, *divisions[walked.panel, walked.stroke], 1.0]
+        lengths.append(walked.length * (bounds[part + 1] - bounds[part]))
+    ends = np.cumsum(lengths)
+    first, last = (np.clip((share * ends[-1] - ends + lengths) / lengths, 0.0, 1.0).tolist() for share in closed)
+    return list(zip(first, last, strict=True))
 
 
 def _panel(piece: Piece, parts: Sequence[tuple[Stroke, ...]], outward: bool) -> Panel:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.piece import Interface, Join, Piece, Section, Vector
-from gcd_dataset.records import EdgeRole, PanelRole
+from gcd_dataset.records import Closure, EdgeRole, PanelRole
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,17 @@ class Component:
             )
         return cls(pieces, tuple(join for part in components for join in part.joins))
 
-    def sewn(self, left: Interface, right: Interface, *, gathered: bool = False) -> Self:
-        """With one more join, of interfaces walked in the same direction; ``gathered``: see ``Join``."""
-        return type(self)(self.pieces, (*self.joins, Join(left, right, gathered)), self.interfaces)
+    def sewn(
+        self,
+        left: Interface,
+        right: Interface,
+        *,
+        gathered: bool = False,
+        closure: Closure = Closure.SEWN,
+        closed: tuple[float, float] = (0.0, 1.0),
+    ) -> Self:
+        """With one more join, of interfaces walked in the same direction; keywords: see ``Join``."""
+        return replace(self, joins=(*self.joins, Join(left, right, gathered, closure, closed)))
 
     def offering(self, **interfaces: Interface) -> Self:
         """With named interfaces to other components."""
@@ -85,7 +93,10 @@ class Component:
         return replace(
             self,
             pieces=tuple(_with_mirrored_labels(p.mirrored(p.name.replace(old, new))) for p in self.pieces),
-            joins=tuple(Join(_renamed(j.left, old, new), _renamed(j.right, old, new), j.gathered) for j in self.joins),
+            joins=tuple(
+                replace(join, left=_renamed(join.left, old, new), right=_renamed(join.right, old, new))
+                for join in self.joins
+            ),
             interfaces={name: _renamed(interface, old, new) for name, interface in self.interfaces.items()},
         )
 

@@ -20,7 +20,7 @@ from gcd_dataset.curves import Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.outline import Outline
 from gcd_dataset.generator.pattern.stroke import Stroke, rotate
-from gcd_dataset.records import PanelRole, Placement
+from gcd_dataset.records import Closure, PanelRole, Placement
 
 EDGE_BY_EDGE = 0.05  # share of a seam: corners that differ by less are sewn to each other, GarmentCode
 SAME_BREAK = 0.01  # share of a seam: breaks that differ by less count as one, GarmentCode
@@ -50,6 +50,9 @@ class Join:
     right: Interface
     gathered: bool = False
     """Whether the longer side is gathered to the shorter; otherwise both should have the same length."""
+    closure: Closure = Closure.SEWN
+    closed: tuple[float, float] = (0.0, 1.0)
+    """The part that is joined, from and to, as shares of the walk along ``left``."""
 
 
 def backwards(interface: Interface) -> Interface:

@@ -1,34 +1,25 @@
 """Rendering of batches: scenes and views in, pictures and truths out; a GPU works in the background."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, get_args
 
 import numpy as np
 import warp as wp
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.device import keep_some_memory, launch_lock
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.render.environment import EnvironmentKind
-from gcd_dataset.generator.render.geometry import solid_of
 from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import cast, prepare, truths
 from gcd_dataset.generator.render.kernels.records import ClothRow, Shot
 from gcd_dataset.generator.render.packing import Materials, pack_views
 from gcd_dataset.generator.render.pictures import BACKGROUND, MapName, Picture, View
 from gcd_dataset.generator.render.scene import Scene
-from gcd_dataset.generator.render.uploading import (
-    StagingBuffers,
-    Uploaded,
-    stage,
-    staged_values,
-    to_device,
-    upload,
-    wrapped,
-)
+from gcd_dataset.generator.render.uploading import Block, StagingBuffers, Uploaded, add_scenes, upload, wrapped
 
 SIDE = 2  # rays along each side of a pixel
 POLL = 2e-4  # s between two looks at a GPU
@@ -81,15 +72,11 @@ def start_pictures(
 
     Several threads may start renderings: they prepare scenes at the same time and launch one after the other.
     """
-    _check(scenes, views, size, maps)
-    device = resolve_device(device)
-    load_kernels("renderer", prepare, cast, truths, device=device)
-    keep_some_memory(device)
     return PendingPictures(scenes, views, size, maps, device)
 
 
 class PendingPictures:
-    """Pictures that a device is rendering."""
+    """Pictures that a device is rendering. ``rgb_only``: of plain views, for ``lend_rgb`` alone."""
 
     def __init__(
         self,
@@ -98,25 +85,32 @@ class PendingPictures:
         size: int,
         maps: Sequence[MapName],
         device: str,
+        *,
+        rgb_only: bool = False,
     ) -> None:
+        _check(scenes, views, size, maps)
+        device = resolve_device(device)
+        load_kernels("renderer", prepare, cast, truths, device=device)
+        keep_some_memory(device)
         self._views, self._size, self._maps = views, size, tuple(maps)
         self._staging = StagingBuffers(device)
         self._scenes = [scenes[view.scene] for view in views]
-        self._positions = [_marked_points(scene) for scene in self._scenes]
+        self._positions = [] if rgb_only else [_marked_points(scene) for scene in self._scenes]
         self._results: dict[str, np.ndarray] = {}
         self._rendered: wp.Event | None = None
         self._kept: object = None
         if not views:
             return
         used = sorted({view.scene for view in views})
-        kept = [scenes[row] for row in used]
-        solids = [solid_of(scene) for scene in kept]
-        staged = stage(kept, solids, self._staging)
+        block = Block(self._staging)
+        starts = add_scenes(block, [scenes[row] for row in used], rgb_only=rgb_only)
         materials = pack_views(views, scenes, {row: k for k, row in enumerate(used)})
-        inputs = self._stage_views(materials)
+        self._add_views(block, materials)
+        block.fill()
         with launch_lock:
-            uploaded = upload(staged)
-            self._kept = uploaded, self._launch(uploaded, materials, inputs, device)
+            given = block.upload()
+            uploaded = upload(given, *starts, device)
+            self._kept = block, uploaded, self._launch(uploaded, materials, given, device)
             self._rendered = self._staging.event()
 
     def ready(self) -> bool:
@@ -125,40 +119,42 @@ class PendingPictures:
             return self._rendered is None or self._rendered.is_complete
 
     def pictures(self) -> list[Picture]:
-        """Wait for the pictures. Call once: this releases the buffers."""
-        lent = self.lend()
-        if not self._staging.locked:  # no other rendering gets these buffers
-            return lent
-        self._results = {name: array.copy() for name, array in self._results.items()}
-        self._staging.release()
-        return list(self._finished())
+        """Wait for the pictures. Call once."""
+        results = self._wait()
+        if self._staging.locked:
+            results = {name: array.copy() for name, array in results.items()}
+        return list(self._finished(results))
 
     def lend(self) -> list[Picture]:
-        """Wait for the pictures; for a GPU their arrays are staging memory, valid until ``release``."""
+        """Wait for the pictures, as ``pictures``; for a GPU their arrays are page-locked memory: drop them soon."""
+        return list(self._finished(self._wait()))
+
+    def lend_rgb(self) -> UInt8[np.ndarray, "n h w 3"]:
+        """Wait for the pictures, as ``lend``, without the other fields of ``Picture``."""
+        return self._wait()["rgb"]
+
+    def _wait(self) -> dict[str, np.ndarray]:
         while not self.ready():  # other threads launch meanwhile
             time.sleep(POLL)
         with launch_lock:
             self._kept = None  # frees the meshes
-        return list(self._finished())
-
-    def release(self) -> None:
-        """Release the buffers after ``lend``."""
-        self._results = {}
         self._staging.release()
+        results, self._results = self._results, {}
+        return results
 
-    def _finished(self) -> Iterator[Picture]:
+    def _finished(self, results: Mapping[str, np.ndarray]) -> Iterator[Picture]:
         size, begin = self._size, 0
         for row, (view, scene, positions) in enumerate(zip(self._views, self._scenes, self._positions, strict=True)):
             end, corners = begin + len(positions), len(scene.corner_rows)
             pixels = view.camera.project(positions, size)
             visible = (np.abs(pixels - 0.5 * (size - 1)) <= 0.5 * size).all(axis=1)
-            visible &= self._results["visible"][begin:end] == 1
+            visible &= results["visible"][begin:end] == 1
             begin = end
             yield Picture(
-                rgb=self._results["rgb"][row],
+                rgb=results["rgb"][row],
                 intrinsics=view.camera.intrinsics(size),
                 extrinsics=view.camera.extrinsics(),
-                maps={name: self._results[name][row] for name in self._maps},
+                maps={name: results[name][row] for name in self._maps},
                 panel_corners=scene.panel_corners,
                 corner_pixels=pixels[:corners],
                 corner_visible=visible[:corners],
@@ -167,39 +163,31 @@ class PendingPictures:
                 landmark_visible=visible[corners:],
             )
 
-    def _stage_views(self, materials: Materials) -> dict[str, tuple[np.ndarray, Any]]:
-        """What the kernels read besides scenes, in staging memory, with Warp types."""
-        positions = np.concatenate(self._positions)
-        owner = np.repeat(np.arange(len(self._positions)), list(map(len, self._positions)))
-        given: dict[str, tuple[np.ndarray, Any, Any]] = {
-            "shots": (materials.shots, materials.shots.dtype, Shot),
-            "cloths": (materials.cloths, materials.cloths.dtype, ClothRow),
-            "cloth_of_panel": (materials.cloth_of_panel, np.int32, wp.int32),
-            "texels": (materials.texels, np.float32, wp.vec3),
-            "glow": (materials.glow, np.float32, wp.vec3),
-            "owner": (owner, np.int32, wp.int32),
-            "positions": (positions, np.float32, wp.vec3),
-        }
-        return {
-            name: (staged_values(self._staging, values, kind), dtype) for name, (values, kind, dtype) in given.items()
-        }
+    def _add_views(self, block: Block, materials: Materials) -> None:
+        """What the kernels read besides scenes."""
+        block.add("shots", Shot, materials.shots)
+        block.add("cloths", ClothRow, materials.cloths)
+        block.add("cloth_of_panel", wp.int32, materials.cloth_of_panel)
+        if self._positions:
+            block.add("texels", wp.vec3, materials.texels)
+            block.add("glow", wp.vec3, materials.glow)
+            block.add("owner", wp.int32, np.repeat(np.arange(len(self._positions)), list(map(len, self._positions))))
+            block.add("positions", wp.vec3, *self._positions)
 
-    def _launch(
-        self, up: Uploaded, materials: Materials, inputs: dict[str, tuple[np.ndarray, Any]], device: str
-    ) -> list[wp.array]:
+    def _launch(self, up: Uploaded, materials: Materials, given: dict[str, wp.array], device: str) -> list[wp.array]:
         """Launch all passes and the copies of their results; returns the arrays that these read."""
-        given = {name: to_device(values, dtype, device) for name, (values, dtype) in inputs.items()}
         outputs = {"rgb": _shade(up, materials, given, self._size, device)}
         outputs |= _truths(up, given["shots"], self._maps, self._size, device)
-        seen = [up.scenes, given["shots"], given["owner"], given["positions"]]
-        outputs["visible"] = wp.zeros(len(given["owner"]), dtype=wp.uint8, device=device)
-        wp.launch(truths.see_points, len(given["owner"]), inputs=seen, outputs=[outputs["visible"]], device=device)
+        if self._positions:
+            seen = [up.scenes, given["shots"], given["owner"], given["positions"]]
+            outputs["visible"] = wp.zeros(len(given["owner"]), dtype=wp.uint8, device=device)
+            wp.launch(truths.see_points, len(given["owner"]), inputs=seen, outputs=[outputs["visible"]], device=device)
         for name, array in outputs.items():
             kind = wp.dtype_to_numpy(array.dtype)
             self._results[name] = self._staging.array(array.shape, kind)
             if array.size:
                 wp.copy(wrapped(self._results[name], array.dtype), array)
-        return [*given.values(), *outputs.values()]
+        return list(outputs.values())
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers
@@ -252,17 +240,18 @@ def _shade(up: Uploaded, materials: Materials, given: dict[str, wp.array], size:
     inputs = [up.scenes, shots, SIDE]
     wp.launch(cast.cast_rays, rays, inputs=inputs, outputs=[hit_face, hit_uv, seen], device=device)
     wp.launch(prepare.sky_visibility, sides, inputs=[up.scenes, seen], outputs=[sky], device=device)
-    cloth_of_panel, cloths, texels, glow = (given[name] for name in ("cloth_of_panel", "cloths", "texels", "glow"))
+    cloths = [given["cloth_of_panel"], given["cloths"]]
     if plain.any():
-        inputs = [up.scenes, shots, cloth_of_panel, cloths, sky, SIDE, hit_face, hit_uv, least]
+        inputs = [up.scenes, shots, *cloths, sky, SIDE, hit_face, hit_uv, least]
         wp.launch(cast.shade_plain, rays[:3], inputs=inputs, outputs=[picture], device=device)
     if not plain.all():
         cells = (len(up.meshes), prepare.FLOOR_CELLS, prepare.FLOOR_CELLS)
         floor = wp.empty(cells, dtype=float, device=device)
         if np.isin(materials.shots["place"], (EnvironmentKind.SWEEP, EnvironmentKind.ROOM)).any():
-            wp.launch(prepare.floor_visibility, cells, inputs=[up.scenes, up.middle], outputs=[floor], device=device)
-        inputs = [up.scenes, shots, cloth_of_panel, cloths, texels, glow, up.middle, sky, floor, SIDE]
-        inputs += [hit_face, hit_uv, least]
+            inputs = [up.scenes, given["middle"]]
+            wp.launch(prepare.floor_visibility, cells, inputs=inputs, outputs=[floor], device=device)
+        inputs = [up.scenes, shots, *cloths, given["texels"], given["glow"].reshape((-1, 9)), given["middle"], sky]
+        inputs += [floor, SIDE, hit_face, hit_uv, least]
         wp.launch(cast.shade_pixels, rays[:3], inputs=inputs, outputs=[picture], device=device)
     return picture
 

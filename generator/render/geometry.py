@@ -1,4 +1,4 @@
-"""Meshes prepared for ray casting: garment, body and hair in one list, borders of the panels, masks on the body."""
+"""Meshes prepared for ray casting: garment, body, hair and eyes in one list, and the borders of the panels."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,7 +7,7 @@ from itertools import accumulate
 import numpy as np
 from jaxtyping import Float, Int
 
-from gcd_dataset.generator.render.figure import BodyMasks, Eyes, body_masks, eyeballs, hair_shell
+from gcd_dataset.generator.render.figure import Eyes, eyeballs, hair_shell
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.records import Record
 
@@ -41,9 +41,6 @@ class Solid(Record):
     body_faces: int
     hair_faces: int
     garment_vertices: int
-    borders: PanelBorders
-    masks: BodyMasks
-    """Of the vertices of the body."""
     eyes: Eyes
 
     @property
@@ -63,7 +60,7 @@ class Solid(Record):
 
 
 def solid_of(scene: Scene) -> Solid:
-    """The scene as one mesh, with the borders of its panels."""
+    """The scene as one mesh."""
     body, hair, eyes = scene.body, hair_shell(scene), eyeballs(scene.body)
     return Solid(
         parts=tuple((one.vertices, one.faces) for one in (scene, body, hair, eyes)),
@@ -71,8 +68,6 @@ def solid_of(scene: Scene) -> Solid:
         body_faces=len(body.faces),
         hair_faces=len(hair.faces),
         garment_vertices=len(scene.vertices),
-        borders=panel_borders(scene),
-        masks=body_masks(scene.body),
         eyes=eyes,
     )
 

@@ -15,8 +15,8 @@ from gcd_dataset.generator.render.kernels import records
 from gcd_dataset.generator.render.pictures import PlainView, View
 from gcd_dataset.generator.render.scene import Scene
 
-CLOTH: Any = records.ClothRow.numpy_dtype()  # type: ignore[attr-defined]
-SHOT: Any = records.Shot.numpy_dtype()  # type: ignore[attr-defined]
+CLOTH: Any = np.dtype(records.ClothRow.numpy_dtype())  # type: ignore[attr-defined]
+SHOT: Any = np.dtype(records.Shot.numpy_dtype())  # type: ignore[attr-defined]
 # A swatch is the colour of skin as seen, highlights and all: as albedos, tones would be chalk and coal.
 SKIN_GAIN, SKIN_GAMMA = np.array([0.75, 0.65, 0.57]), 0.76
 # By eye, in sheets of all tones: real skin is neither chalk nor coal, and warm at both ends of the scale.
@@ -71,27 +71,30 @@ def pack_views(views: Sequence[View], scenes: Sequence[Scene], rows: dict[int, i
     """
     texels = _Texels()
     shots = np.zeros(len(views), SHOT)
-    cloths: list[ClothLook] = []
+    glow = np.zeros((len(views), 9, 3))
+    cloths: dict[int, tuple[int, ClothLook]] = {}
     panels: list[np.ndarray] = []
     known: dict[int, int] = {}
-    for view, shot in zip(views, shots, strict=True):
+    _pack_plain(shots, views)
+    for view, shot, around in zip(views, shots, glow, strict=True):
         look, scene = view.appearance, scenes[view.scene]
         if id(look) not in known:
             known[id(look)] = sum(map(len, panels))
-            panels.append(_cloth_rows(look, scene) + len(cloths))
-            cloths.extend(look.cloths)
+            at = [cloths.setdefault(id(cloth), (len(cloths), cloth))[0] for cloth in look.cloths]
+            panels.append(np.array(at, int)[_cloth_rows(look, scene)])
         elif len(look.cloth_of_panel) != len(scene.panel_names):
             _cloth_rows(look, scene)
-        _pack_shot(shot, view, texels)
-        shot["scene"], shot["plain"] = rows[view.scene], int(isinstance(view, PlainView))
-        shot["first_panel"] = known[id(look)]
+        if isinstance(view, PlainView):
+            shot["plain"] = 1
+        else:
+            _pack_drawn(shot, view, texels)
+            around[...] = _glow(view)
+        shot["scene"], shot["first_panel"] = rows[view.scene], known[id(look)]
         shot["sheer"] = int(any(cloth.translucency > SHEER for cloth in look.cloths))
     packed = np.zeros(max(1, len(cloths)), CLOTH)
-    for cloth, row in zip(cloths, packed, strict=False):
-        _pack_cloth(row, cloth, texels)
-    glow = np.stack([_glow(view) for view in views]) if views else np.zeros((0, 9, 3))
-    own = np.concatenate(panels) if panels else np.zeros(0)
-    return Materials(shots, packed, np.append(own, 0).astype(np.int32), texels.rows(), glow.astype(np.float32))
+    for row, cloth in cloths.values():
+        _pack_cloth(packed[row], cloth, texels)
+    return Materials(shots, packed, np.concatenate([*panels, [0]]), texels.rows(), glow)
 
 
 def skin_albedo(colour: RGB) -> Float[np.ndarray, "3"]:
@@ -117,25 +120,33 @@ def _cloth_rows(look: Appearance, scene: Scene) -> Int[np.ndarray, " p"]:
     return np.asarray(look.cloth_of_panel)
 
 
-def _pack_shot(shot: np.void, view: View, texels: _Texels) -> None:
-    """Camera, lights, place and figure of a view."""
-    look, camera, lights, place = view.appearance, view.camera, view.lights, view.environment
-    shot["right"], shot["down"], shot["forward"] = camera.rotation
-    shot["eye"], shot["focal"], shot["shift"], shot["seed"] = camera.eye, camera.focal, camera.shift, view.seed
-    shot["key_direction"], shot["key"], shot["key_size"] = lights.key_direction, lights.key, lights.key_size
+def _pack_plain(shots: np.ndarray, views: Sequence[View]) -> None:
+    """What all pictures and maps need: cameras, directions of the key lights, walls and underwear."""
+    cameras, underwear = [view.camera for view in views], [view.appearance.underwear for view in views]
+    shots["right"], shots["down"], shots["forward"] = np.stack([camera.rotation for camera in cameras], axis=1)
+    for name in ("eye", "focal", "shift"):
+        shots[name] = [getattr(camera, name) for camera in cameras]
+    shots["key_direction"] = [view.lights.key_direction for view in views]
+    shots["wall"] = linear_light(np.array([view.environment.colours[0] for view in views]))
+    shots["underwear"] = linear_light(np.array([worn.colour if worn else (0.0, 0.0, 0.0) for worn in underwear]))
+    shots["top"] = [worn is not None and worn.top for worn in underwear]
+
+
+def _pack_drawn(shot: np.void, view: View, texels: _Texels) -> None:
+    """The rest of lights, place and figure."""
+    look, lights, place = view.appearance, view.lights, view.environment
+    shot["seed"], shot["key"], shot["key_size"] = view.seed, lights.key, lights.key_size
     fill = lights.fill_direction
     shot["fill_direction"] = lights.key_direction if fill is None else fill
     shot["fill"] = np.zeros(3) if fill is None else lights.fill
     shot["exposure"] = lights.exposure
     shot["place"], shot["place_size"], shot["place_seed"] = int(place.kind), place.size, place.seed
-    shot["wall"], shot["floor"], shot["accent"] = linear_light(np.array(place.colours))
+    shot["floor"], shot["accent"] = linear_light(np.array(place.colours[1:]))
     shot["turn"] = np.cos(place.turn), np.sin(place.turn)
     shot["texels"], shot["width"], shot["height"] = texels.add(place.image)
     shot["skin"], shot["gloss"] = skin_albedo(look.skin.colour), look.skin.gloss
     shot["hair"], shot["eyes"] = linear_light(np.array([look.hair.colour, look.eyes]))
     shot["bare"] = int(look.underwear is None)
-    if look.underwear is not None:
-        shot["underwear"], shot["top"] = linear_light(np.array(look.underwear.colour)), int(look.underwear.top)
 
 
 def _pack_cloth(row: np.void, cloth: ClothLook, texels: _Texels) -> None:

@@ -11,9 +11,9 @@ from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.lay_plan import PALETTE, PAPER
 from gcd_dataset.generator.render.appearance import RGB, Appearance, ClothLook, Print, Underwear
 from gcd_dataset.generator.render.cameras import fixed_camera
-from gcd_dataset.generator.render.casting import PendingPictures, start_pictures
+from gcd_dataset.generator.render.casting import PendingPictures
 from gcd_dataset.generator.render.environment import Environment, EnvironmentKind, Lights
-from gcd_dataset.generator.render.pictures import MapName, PlainView
+from gcd_dataset.generator.render.pictures import PlainView
 from gcd_dataset.generator.render.scene import Scene, figure_scene, scene_of
 from gcd_dataset.records import Body, BoxMesh, Sample
 
@@ -36,11 +36,11 @@ def plain_view(scene: Scene, side: str = "front", *, row: int = 0) -> PlainView:
 
 
 def start_plain(
-    scenes: Sequence[Scene], *, size: int, maps: Sequence[MapName] = (), device: str = "auto"
+    scenes: Sequence[Scene], *, size: int, sides: Sequence[str] = SIDES, device: str = "auto"
 ) -> PendingPictures:
-    """Start rendering front and back of each scene, as ``start_pictures`` does."""
-    views = [plain_view(scene, side, row=row) for row, scene in enumerate(scenes) for side in SIDES]
-    return start_pictures(scenes, views, size=size, maps=maps, device=device)
+    """Start rendering the sides of each scene, as ``start_pictures`` does, for ``lend_rgb``."""
+    views = [plain_view(scene, side, row=row) for row, scene in enumerate(scenes) for side in sides]
+    return PendingPictures(scenes, views, size, (), device, rgb_only=True)
 
 
 def render_view(
@@ -50,16 +50,16 @@ def render_view(
 
     Raises ``ConfigError`` for a missing device, a size below 1, or a view besides ``front`` and ``back``.
     """
-    [picture] = start_pictures([scene], [plain_view(scene, view)], size=size, device=device).pictures()
-    return picture.rgb
+    [picture] = start_plain([scene], size=size, sides=(view,), device=device).lend_rgb()
+    return picture.copy()
 
 
 def render_garment(
     vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh, body: Body, *, size: int = 512, device: str = "auto"
 ) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]:
     """Front and back of a garment at ``vertices`` [cm] on its body."""
-    front, back = start_plain([garment_scene(vertices, mesh, body)], size=size, device=device).pictures()
-    return front.rgb, back.rgb
+    front, back = start_plain([garment_scene(vertices, mesh, body)], size=size, device=device).lend_rgb().copy()
+    return front, back
 
 
 def render_sample(sample: Sample, body: Body, *, size: int = 512, device: str = "auto") -> tuple[bytes, bytes]:

@@ -1,7 +1,7 @@
 """The geometry of a picture: a draped garment on its body, with the points whose pixels are wanted."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
 
@@ -98,8 +98,6 @@ def scene_of(
         raise ConfigError(f"{len(vertices)} positions for a mesh of {len(mesh.vertices)} vertices: give one for each")
     if not np.isfinite(vertices).all():
         raise ConfigError("some positions of the garment are not numbers: its drape diverged; leave it out")
-    panel_of_row = _panel_of_row(mesh)
-    ids, rows = _corners_in_mesh(mesh, panel_of_row, pattern)
     scene = Scene(
         vertices=vertices,
         faces=mesh.faces,
@@ -111,11 +109,14 @@ def scene_of(
         panel_labels=mesh.panel_labels,
         seams=mesh.seams,
         body=body,
-        panel_corners=ids,
-        corner_rows=rows,
         landmarks=_landmarks(body),
         hair=hair,
     )
+    if pattern is None:
+        return scene
+    panel_of_row = _panel_of_row(mesh)
+    ids, rows = _corners_in_mesh(mesh, panel_of_row, pattern)
+    scene = replace(scene, panel_corners=ids, corner_rows=rows)
     vars(scene)["panel_of_row"] = np.maximum(panel_of_row, 0)  # as the cached property would find it
     return scene
 
@@ -146,11 +147,11 @@ def _panel_of_row(mesh: BoxMesh | Scene) -> Int32[np.ndarray, " c"]:
 
 
 def _corners_in_mesh(
-    mesh: BoxMesh, panel_of_row: Int32[np.ndarray, " c"], pattern: Pattern | None
+    mesh: BoxMesh, panel_of_row: Int32[np.ndarray, " c"], pattern: Pattern
 ) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, " k"]]:
     """(panel, corner) and row of ``uv`` for each panel corner that is a vertex of the mesh."""
-    panels = {} if pattern is None else {panel.name: panel for panel in pattern.panels}
-    order = np.argsort(panel_of_row, kind="stable") if panels else np.zeros(0, int)
+    panels = {panel.name: panel for panel in pattern.panels}
+    order = np.argsort(panel_of_row, kind="stable")
     ends = np.searchsorted(panel_of_row[order], np.arange(len(mesh.panel_names) + 1))
     ids: list[tuple[int, int]] = []
     found: list[int] = []

@@ -18,7 +18,7 @@ from gcd_dataset.cli import main
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import BodyShape, Outcome, Pattern, Sample
+from gcd_dataset.records import BodyShape, Closure, Outcome, Pattern, Sample
 from gcd_dataset.release.bodies import FOLDER, KINDS
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.hdf5 import write_hdf5
@@ -241,6 +241,17 @@ GARMENT_FAULTS = [
     (lambda sample: replace(sample, drape=None), "missing-members", "verts"),
     (lambda sample: with_drape(sample, outcome=Outcome.NOT_SETTLED), "failed-drapes", "outcome NOT_SETTLED"),
 ]
+
+
+def test_open_seams_of_the_pattern_are_no_fault_of_the_mesh(tmp_path: Path) -> None:
+    def opened(train: Samples, test: Samples) -> None:
+        seams = tuple(replace(seam, closure=Closure.OPEN) for seam in train[0].pattern.seams)
+        apart = with_mesh(unsewn(train[0]), seams=np.zeros((0, 2), int))
+        train[0] = with_pattern(apart, lambda pattern: replace(pattern, seams=seams))
+        train[1] = with_mesh(unsewn(train[1]), seams=np.zeros((0, 2), int))
+
+    (finding,) = edited(tmp_path, opened).harmful
+    assert (finding.check.name, list(finding.examples)) == ("open-seams", ["gcd_000000001"])
 
 
 def test_each_fault_of_a_garment_is_found_and_no_other(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import shapely
 from gcd_dataset.curves import signed_area
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.exports.pieces import cut_pieces
-from gcd_dataset.records import EdgeRef, Pattern, Seam
+from gcd_dataset.records import Closure, EdgeRef, Pattern, Seam
 from tests.exports.patterns import (
     DART_DEPTH,
     DART_MOUTH,
@@ -118,6 +118,13 @@ def test_notches_of_a_seam_meet() -> None:
     assert right == pytest.approx(left)  # the squares lie side by side, so sewn points have the same height
     assert all(notch.point[0] == pytest.approx(SIDE + 1.0) for notch in one.notches)
     assert all(notch.inward == pytest.approx([-1.0, 0.0]) and notch.depth == 0.5 for notch in one.notches)
+
+
+def test_an_open_seam_has_no_notches_and_the_same_cut_line() -> None:
+    opened = replace(squares(), seams=(replace(squares().seams[0], closure=Closure.OPEN),))
+    for piece, closed in zip(cut_pieces(opened), cut_pieces(squares()), strict=True):
+        assert not piece.notches
+        assert np.array_equal(piece.cut, closed.cut)
 
 
 def test_a_wrong_side_seam_has_its_notches_at_the_same_ends() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments.design import read_design
-from gcd_dataset.records import Outcome
+from gcd_dataset.records import Closure, Outcome
 from gcd_dataset.viewer import design_desk
 from gcd_dataset.viewer.design_desk import Desk, controls, measure_controls
 
@@ -26,6 +26,16 @@ def test_every_parameter_has_a_control_whose_value_lies_in_its_range(desk: Desk)
     assert len({one.path for one in found}) == len(found) > 120
     for one in found:
         assert one.low <= one.value <= one.high if one.kind in ("number", "whole") else one.value in one.options
+
+
+def test_what_sampling_never_draws_can_be_chosen(desk: Desk) -> None:
+    offered = {one.path: one.options for one in controls(desk.start)}
+    assert "Cape" in offered["meta.upper"]
+    assert {"open", "zip", "buttons"} < set(offered["front.closure"])
+    chosen = desk.draw(values(desk, **{"meta.upper": "Shirt", "front.closure": "zip"}), {})
+    assert "front" in chosen.used
+    assert chosen.pattern is not None
+    assert Closure.ZIP in {seam.closure for seam in chosen.pattern.seams}
 
 
 def test_a_longer_skirt_has_larger_panels(desk: Desk) -> None:

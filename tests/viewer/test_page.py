@@ -13,7 +13,7 @@ import pytest
 
 from gcd_dataset.generator.lay_plan import lay_out
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import EdgeRef, Pattern, Sample, Seam, StoredView
+from gcd_dataset.records import Closure, EdgeRef, Pattern, Sample, Seam, StoredView
 from gcd_dataset.viewer.content import Content, content_of
 from gcd_dataset.viewer.page import _packed, page_of
 from tests.helpers import far_ball
@@ -145,6 +145,15 @@ def test_a_seam_to_a_missing_edge_is_told_as_such(sample: Sample) -> None:
     seams = data_of(page_of(Content("odd", replace(sample.pattern, seams=(odd,)))))["seams"]
     assert seams[0]["text"] == f"seam 0 · {first}, no such edge to sleeve, no such edge"
     assert seams[0]["panels"] == [0, -1]
+
+
+def test_the_closure_of_a_seam_is_told(sample: Sample) -> None:
+    seam = sample.pattern.seams[0]
+    told = []
+    for closure, closed in ((Closure.SEWN, (0.0, 1.0)), (Closure.OPEN, (0.0, 1.0)), (Closure.ZIP, (0.25, 1.0))):
+        pattern = replace(sample.pattern, seams=(replace(seam, closure=closure, closed=closed),))
+        told.append(data_of(page_of(Content("a", pattern)))["seams"][0]["text"])
+    assert told[1:] == [f"{told[0]} · open", f"{told[0]} · zip from 25% to 100%"]
 
 
 def test_stages_and_switches_are_those_of_the_content(content: Content) -> None:

@@ -30,7 +30,7 @@ from gcd_dataset.generator.garments.description import RUFFLES, Tag
 from gcd_dataset.generator.garments.drawn import hem_depth
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
-from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
+from gcd_dataset.records import Closure, Measurements, Panel, PanelRole, Pattern
 from tests.generator.garments.conftest import DESIGNS, MAN, STOUT, WOMAN
 
 
@@ -70,6 +70,7 @@ def wardrobe() -> list[Worn]:
     alone = {"upper": "none", "wb": "none", "bottom": "none"}
     members = [("upper", upper) for upper in Upper] + [("bottom", bottom) for bottom in Bottom]
     rare = [{"meta": {**alone, part: member.value}} for part, member in members if not member.garment.weight]
+    rare += [{"meta": {**alone, "upper": "Shirt"}, "front": {"closure": how.value}} for how in Closure if how != "sewn"]
     levels, pants = ({"meta": {"upper": "none", "bottom": name}} for name in ("SkirtLevels", "Pants"))
     return [*sampled(120), *sampled(8, *rare), *sampled(20, levels, pants)]
 
@@ -386,6 +387,10 @@ NAMES: list[tuple[dict[str, Any], set[str]]] = [
     ),
     ({"meta": {"bottom": "AsymmSkirtCircle"}}, {"circle skirt", "asymmetric"}),
     ({"meta": {"upper": "Cape"}}, {"top", "cape"}),
+    *(
+        ({"meta": SHIRT, "front": {"closure": closure}}, {"top", tag})
+        for closure, tag in (("open", "open front"), ("zip", "zip"), ("buttons", "buttons"))
+    ),
 ]
 STYLES: list[tuple[dict[str, Any], set[str], set[str]]] = [
     *((values, named, set[str]()) for values, named in NAMES),
@@ -471,7 +476,11 @@ def longest_ratio(pattern: Pattern) -> float:
 def front_necklines(pattern: Pattern) -> list[tuple[str, ...]]:
     """The kinds of curve of each half of the neckline in front."""
     fronts = [panel for panel in pattern.panels if panel.name.endswith("_ftorso")]
-    return [tuple(type(edge.curve).__name__ for edge in panel.edges if edge.name == "neck") for panel in fronts]
+    curves = [[type(edge.curve).__name__ for edge in panel.edges if edge.name == "neck"] for panel in fronts]
+    if any(seam.closure == Closure.BUTTONS for seam in pattern.seams):
+        for neckline in curves:
+            neckline.remove("Line")  # the top of the button stand
+    return [tuple(neckline) for neckline in curves]
 
 
 def drawn_features(worn: Worn) -> Mapping[str, bool]:
@@ -534,12 +543,13 @@ STATED = LENGTHS | {
     "with cuffs": "cuffs?|frills?", "round neck": "round|scoop", "v-neck": "V-neckline|V-shaped",
     "square neck": "square|trapezoid", "curved neck": "U-shaped|curved|inward-curving|curved V|curved V-neckline",
     "turtleneck": "turtleneck|standing collar", "lapel": "lapels?", "hooded": "hood",
+    "open front": "open front|open from neck to hem", "zip": "zip", "buttons": "buttons",
     "asymmetric": "asymmetric|one-shoulder|off-centre|off centre|high-low|longer behind",
 }  # fmt: skip
 """Tag to words of which the full caption has one."""
 MUTUAL = {
     "slit", "gathered skirt", "straight skirt", "godet skirt", "tiered skirt", "strapless", "lapel", "with waistband",
-    "hooded", "asymmetric", "panelled skirt", "pencil skirt", "dress", "one-shoulder", "with cuffs",
+    "hooded", "zip", "buttons", "asymmetric", "panelled skirt", "pencil skirt", "dress", "one-shoulder", "with cuffs",
 }  # fmt: skip
 """Tags that a garment has if its full caption has one of the words."""
 

@@ -25,7 +25,7 @@ from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import Body, BodyPart, EdgeRole, Measurements
 from tests.generator.drape.probes import crossing_kernel, nearest_kernel
 from tests.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
-from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube
+from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube, waited
 
 LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])  # the patch's right side looks up
 SLOPE = trimesh.transformations.rotation_matrix(np.radians(25.0), [0, 0, 1])
@@ -410,7 +410,7 @@ def solver_of(*jobs: DrapeJob) -> Solver:
 def untangled(*jobs: DrapeJob) -> list[Float[np.ndarray, "v 3"]]:
     """The positions of each garment after the phase; garments without crossings skip it."""
     solver = solver_of(*jobs)
-    untangle(solver, solver.self_crossings() > 0)
+    waited(untangle(solver, solver.self_crossings() > 0))
     x = solver.state.x.numpy()
     return [x[span].copy() for span in solver.model.vertices]
 
@@ -418,7 +418,7 @@ def untangled(*jobs: DrapeJob) -> list[Float[np.ndarray, "v 3"]]:
 def test_a_corner_leaves_the_sheet_that_it_pierces() -> None:
     solver = solver_of(pierced())
     assert solver.self_crossings()[0] > 3
-    untangle(solver, np.ones(1, bool))
+    waited(untangle(solver, np.ones(1, bool)))
     assert solver.self_crossings()[0] == 0
 
 
@@ -435,7 +435,7 @@ def test_untangling_never_adds_crossings() -> None:
     before = solver.self_crossings()[0]
     for steps in (1, 2, 5):
         solver = Solver(solver.model, DrapeConfig(untangling_steps=steps))
-        untangle(solver, np.ones(1, bool))
+        waited(untangle(solver, np.ones(1, bool)))
         assert solver.self_crossings()[0] <= before
 
 

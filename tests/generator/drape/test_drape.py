@@ -3,6 +3,7 @@
 import gc
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -32,7 +33,7 @@ from gcd_dataset.generator.pipeline import prepare, sample_fabric
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Body, BodyPart, BoxMesh, Drape, Outcome
 from tests.generator.drape.garments import wear
-from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube
+from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube, waited
 
 LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])
 
@@ -215,7 +216,7 @@ def test_a_garment_at_the_very_limit_of_sliding_is_not_settled() -> None:
     solver._end_frame()
     assert solver.state.status.numpy()[0] != RUNNING
     assert not slid_off(job, x)
-    [drape] = collect(solver, [job], [0])
+    [drape] = waited(collect(solver, [job], [0]))
     assert drape.outcome is Outcome.NOT_SETTLED
 
 
@@ -263,7 +264,7 @@ def test_an_overfull_contact_list_of_the_coarse_pass_is_reported() -> None:
     end = CoarseEnd.of(coarse, first.state.x, first.state.v, time=0.0, held=1, overfull=1)
     slots = Slots(room_for(job.box_mesh), 1, config, "cpu")
     assert slots.place(build_model([job], config, "cpu"), [end]) == [0]
-    [drape] = collect(slots.solver, [job], [0])
+    [drape] = waited(collect(slots.solver, [job], [0]))
     assert drape.outcome is Outcome.OVERFULL
 
 
@@ -353,6 +354,58 @@ def test_buffers_are_freed_before_larger_ones_are_made_and_at_the_end(
     assert events[-1] == "freed"
 
 
+def test_a_lane_that_awaits_results_frees_its_buffers(living: WeakSet[Solver]) -> None:
+    config = DrapeConfig(max_frames=2)
+    lane = Lane(PendingJobs([on_a_ball(4)], config), config, "cpu", size=1, stream=None, between=nothing)
+    lane.advance(none_arrived)
+    lane.advance(none_arrived)
+    assert lane._collecting is not None
+    assert living
+    lane.free()
+    assert not living
+
+
+class SlowStream:
+    """A stream whose device has ended its last work when it is asked for the third time."""
+
+    def __init__(self, name: str, log: list[str]) -> None:
+        self._name, self._log, self._work, self._asked = name, log, "", 0
+
+    @contextmanager
+    def active(self, *, urgent: bool = False) -> Iterator[None]:
+        self._work = "results" if urgent else "frames"
+        yield
+
+    def mark(self) -> None:
+        self._log.append(f"{self._work} of {self._name}")
+        self._asked = 0
+
+    def reached(self) -> bool:
+        self._asked += 1
+        return self._asked > 2
+
+    def wait(self) -> None:
+        self._asked = 3
+
+    def free_dropped(self) -> None:
+        assert self._asked > 2
+
+
+def test_other_lanes_go_on_while_the_results_of_one_are_awaited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cloth comes to rest while one in the other lane falls. Both get the drapes that they get alone."""
+    jobs, config = [on_a_ball(4), on_a_table(beside(SHEET))], DrapeConfig()
+    alone = drape_batch(jobs, config, device="cpu")
+    log: list[str] = []
+    streams, empty = [SlowStream(name, log) for name in ("resting", "falling")], wp.empty
+    monkeypatch.setattr("gcd_dataset.generator.drape.batches.work_streams", lambda *_: streams)
+    monkeypatch.setattr(wp, "empty", lambda *given, pinned=False, **options: empty(*given, **options))  # needs CUDA
+    drapes = dict(drape_unordered(jobs, config, device="cpu", at_once=2, lanes=2))
+    assert [drapes[0], drapes[1]] == alone
+    meanwhile = [log[k + 1] for k, entry in enumerate(log) if entry == "results of resting"]
+    assert len(meanwhile) > 1
+    assert set(meanwhile) == {"frames of falling"}
+
+
 def test_the_place_of_an_ended_garment_goes_to_one_that_waits() -> None:
     """Also after the last job, while others drape."""
     config = DrapeConfig()
@@ -369,7 +422,7 @@ def test_untangling_keeps_no_solver_in_memory(living: WeakSet[Solver]) -> None:
     job, config = on_a_ball(4), DrapeConfig()
     slots = Slots(room_for(job.box_mesh), 1, config, "cpu")
     slots.place(build_model([job], config, "cpu"), [None])
-    untangle(slots.solver, np.array([True, False]))
+    waited(untangle(slots.solver, np.array([True, False])))
     del slots
     assert not living
 
@@ -423,6 +476,17 @@ def test_an_overgarment_settles_without_crossings_and_covers_both_shoulders(uppe
         arm = worn.body.vertices[worn.body.parts == part.value]
         assert arm[:, 1].max() < top < worn.body.vertices[:, 1].max()
         assert worn.drape.vertices[:, 0].min() < arm[:, 0].mean() < worn.drape.vertices[:, 0].max()
+
+
+@pytest.mark.parametrize("sleeveless", [True, False], ids=["vest", "cardigan"])
+def test_an_open_front_settles_on_both_shoulders_without_crossings(sleeveless: bool) -> None:
+    sleeve = {"sleeveless": sleeveless, "length": 0.8}
+    worn = wear(design_from_dict({"meta": {"upper": "Shirt"}, "front": {"closure": "open"}, "sleeve": sleeve}))
+    assert worn.drape.outcome is Outcome.SETTLED
+    assert (worn.drape.self_crossings, worn.drape.body_crossings, worn.drape.body_through) == (0, 0, 0)
+    right, left = (worn.vertices_of(f"{side}_ftorso") for side in ("right", "left"))
+    assert not set(right) & set(left)
+    assert worn.drape.vertices[right, 0].mean() < -5.0 < 5.0 < worn.drape.vertices[left, 0].mean()
 
 
 HOOD = MakeConfig(

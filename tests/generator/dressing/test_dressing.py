@@ -20,7 +20,19 @@ from gcd_dataset.generator.garments import design_from_dict, draw_garment, sampl
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.records import Body, BodyPart, Edge, EdgeRef, Measurements, Panel, PanelRole, Pattern, Placement, Seam
+from gcd_dataset.records import (
+    Body,
+    BodyPart,
+    Closure,
+    Edge,
+    EdgeRef,
+    Measurements,
+    Panel,
+    PanelRole,
+    Pattern,
+    Placement,
+    Seam,
+)
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
 
@@ -204,6 +216,23 @@ def test_openings_of_a_tube_a_bag_and_a_lone_panel() -> None:
     [outline] = openings_of(Pattern("cloth", pattern.panels[:1], ()))
     assert outline.length == pytest.approx(2 * (50.0 + 30.0))
     assert len(outline.edges) == 4
+
+
+def test_an_open_seam_joins_the_openings_at_its_ends() -> None:
+    """As the front of a cardigan, from neck to hem: one opening, with both edges of the seam in it."""
+    pattern = tube(50.0, 30.0)
+    seams = (replace(pattern.seams[0], closure=Closure.OPEN), pattern.seams[1])
+    [round_all] = openings_of(replace(pattern, seams=seams))
+    assert round_all.length == pytest.approx(2 * 100.0 + 2 * 30.0)
+
+
+def test_the_fronts_of_an_open_vest_are_no_neckline(wearer: tuple[Body, Measurements]) -> None:
+    design = design_from_dict({"meta": {"upper": "Shirt"}, "front": {"closure": "open"}})
+    pattern = draw_garment(wearer[1], design)
+    found = dress(bared(pattern), *wearer).pattern
+    collars = {name for panel, _, name in labels(found, "left_collar", "right_collar")}
+    assert labels(found, "left_collar", "right_collar") == labels(pattern, "left_collar", "right_collar")
+    assert collars == {"left_collar", "right_collar"}
 
 
 def test_a_seam_of_right_to_wrong_side_reverses_the_walk() -> None:

@@ -47,6 +47,22 @@ DESIGNS: dict[str, Mapping[str, Any]] = {
     "sleeves": {"meta": SHIRT, "sleeve": {"sleeveless": False}},
     "gathered sleeves": {"meta": SHIRT, "sleeve": {"sleeveless": False, "connect_ruffle": 1.6, "sleeve_angle": 40}},
     "hoodie": {"meta": SHIRT, "sleeve": LONG_SLEEVES, "collar": {"component": {"style": "Hood2Panels"}}},
+    "cardigan": {
+        "meta": SHIRT,
+        "front": {"closure": "open"},
+        "sleeve": LONG_SLEEVES,
+        "collar": {"f_collar": "VNeckHalf"},
+    },
+    "zip jacket": {
+        "meta": SHIRT,
+        "front": {"closure": "zip", "open_top": 0.3, "open_hem": 0.2},
+        "collar": {"component": {"style": "Hood2Panels"}},
+    },
+    "button-stand shirt": {
+        "meta": {"upper": "FittedShirt", "bottom": "SkirtCircle"},
+        "front": {"closure": "buttons", "over": "right"},
+    },
+    "open vest": {"meta": SHIRT, "front": {"closure": "open"}, "sleeve": {"sleeveless": True}},
     "flared shirt": {"meta": SHIRT, "shirt": {"flare": 1.4, "length": 2.0}},
     "skirt": {"meta": SKIRT},
     "skirt, fitted band": {"meta": SKIRT | {"wb": "FittedWB"}, "waistband": {"width": 0.4}},

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from gcd_dataset.generator.garments.wardrobe import Upper
 from gcd_dataset.generator.mesh import build_box_mesh, coarsen, turned_panels
 from gcd_dataset.generator.mesh.triangulate import LONGEST
 from gcd_dataset.generator.quality import sample_surface
-from gcd_dataset.records import BoxMesh, Panel, Pattern
+from gcd_dataset.records import BoxMesh, Closure, Panel, Pattern
 from gcd_dataset.spec import read_pattern
 from tests.generator.garments.conftest import DESIGNS, DRESS, WOMAN
 from tests.generator.mesh.shapes import (
@@ -115,6 +116,25 @@ def test_a_tube_is_open_at_both_ends_and_its_seams_merge_points_in_the_middle() 
     # The tube's sides are at z = 3 and -3.
     assert mesh.vertices[: mesh.n_seam_vertices, 2] == pytest.approx(0.0, abs=1e-9)
     assert np.abs(mesh.vertices[mesh.n_seam_vertices :, 2]) == pytest.approx(3.0)
+
+
+def test_an_open_seam_leaves_its_vertices_apart_and_a_zip_joins_its_closed_part() -> None:
+    """A tube with one seam open is a sheet, whose rim has both edges of the seam; 11 of 21 pairs meet in half a zip."""
+    pattern = tube()
+    alone = sum(len(build_box_mesh(sewn(each)).vertices) for each in pattern.panels)
+    first, second = pattern.seams
+    opened = build_box_mesh(replace(pattern, seams=(replace(first, closure=Closure.OPEN), second)))
+    assert len(opened.vertices) == alone - 21
+    assert set(opened.seams[:, 1]) == {1}
+    assert euler_characteristic(opened) == 1
+    assert (undirected_edges(opened.faces)[1] == 1).sum() == 2 * 20 + 2 * 20
+    zipped = build_box_mesh(replace(pattern, seams=(replace(first, closure=Closure.ZIP, closed=(0.0, 0.5)), second)))
+    assert len(zipped.vertices) == alone - 21 - 11
+    on_zip = zipped.seams[zipped.seams[:, 1] == 0, 0]
+    assert zipped.vertices[on_zip, 1] == pytest.approx(np.arange(11.0))  # the left edge runs upwards from the hem
+    assert coarsen(zipped).mesh.seams[:, 1].tolist().count(0) == 6
+    closed = replace(pattern, seams=(replace(first, closure=Closure.BUTTONS), second))
+    assert build_box_mesh(closed) == build_box_mesh(pattern)
 
 
 def test_a_dart_closes() -> None:

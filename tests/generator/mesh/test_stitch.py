@@ -1,5 +1,7 @@
 """Borders of panels as points, and their merging along the seams."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from gcd_dataset.generator.mesh.stitch import (
     sample_border,
     stitch_points,
 )
-from gcd_dataset.records import Edge, EdgeRef, Panel, Placement, Seam
+from gcd_dataset.records import Closure, Edge, EdgeRef, Panel, Placement, Seam
 from tests.generator.mesh.shapes import panel, rectangle, seam, sewn
 
 
@@ -100,6 +102,19 @@ A, B = ("a", 0), ("b", 0)
 
 def points(*numbers: int) -> np.ndarray:
     return np.array(numbers)
+
+
+@pytest.mark.parametrize("right_wrong", [False, True])
+@pytest.mark.parametrize("closed", [(0.0, 0.5), (0.32, 0.91), (0.0, 1.0), (0.4, 0.41), (1.0, 1.0)])
+def test_a_zip_joins_its_share_of_the_length_within_a_mesh_edge(closed: tuple[float, float], right_wrong: bool) -> None:
+    left, right = np.arange(21), np.arange(50, 71)
+    zipped = replace(seam(A, B, right_wrong=right_wrong), closure=Closure.ZIP, closed=closed)
+    joined = stitch_points((zipped,), [(left, right)])
+    assert joined.right.tolist() == [50 + k if right_wrong else 70 - k for k in joined.left.tolist()]
+    reached = (joined.left[0] / 20, joined.left[-1] / 20) if len(joined.left) else (closed[0],) * 2
+    assert reached == pytest.approx(closed, abs=0.5 / 20)
+    opened = replace(zipped, closure=Closure.OPEN)
+    assert not len(stitch_points((opened,), [(left, right)]).left)
 
 
 def test_right_sides_meet_end_to_start_and_right_and_wrong_start_to_start() -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import warp as wp
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render import (
@@ -26,7 +27,7 @@ from gcd_dataset.generator.render import (
     start_pictures,
 )
 from gcd_dataset.generator.render.scene import figure_scene
-from gcd_dataset.generator.render.uploading import LARGE, buffer_size
+from gcd_dataset.generator.render.uploading import LARGE, Block, StagingBuffers, buffer_size
 from tests.generator.render.scenes import (
     DARK,
     GREY,
@@ -75,7 +76,6 @@ def test_lent_pictures_and_those_of_several_threads_are_the_pictures() -> None:
     expected = [bytes_of(picture) for picture in render(scenes, views, size=16, maps=MAPS, device="cpu")]
     pending = start_pictures(scenes, views, size=16, maps=MAPS, device="cpu")
     assert [bytes_of(picture) for picture in pending.lend()] == expected
-    pending.release()
     results: dict[int, list[bytes]] = {}
 
     def work(number: int) -> None:
@@ -96,6 +96,36 @@ def test_buffers_hold_what_they_are_for(needed: int) -> None:
     assert max(needed, 1) <= size <= max(2 * needed, 1)
     assert needed <= LARGE or size < needed * 1.25
     assert buffer_size(size) == size
+
+
+def test_page_locked_memory_is_free_once_the_last_picture_in_it_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    free = [wp.empty(2048, dtype=wp.uint8, device="cpu")]
+    monkeypatch.setattr(StagingBuffers, "_free", {2048: free})
+    staging = StagingBuffers("cpu")
+    staging.locked = True  # as on a GPU
+    front, back = staging.array((2, 1000), np.uint8)
+    del front
+    staging.release()
+    assert len(free) == 0
+    shown = replace(Picture(back, np.eye(3), np.eye(4)[:3])).rgb[:10]
+    del back
+    assert len(free) == 0
+    del shown
+    assert len(free) == 1
+
+
+def test_a_block_holds_its_arrays_one_after_the_other() -> None:
+    """As Warp's types, each at a multiple of 256 bytes; integers count from the start of their group."""
+    block = Block(StagingBuffers("cpu"))
+    block.add("corner", wp.int32, [[0, 1, 2]], np.zeros((0, 3), int), [[2, 1, 0], [3, 2, 1]], shifts=[0, 3, 5])
+    block.add("position", wp.vec3, np.arange(6.0).reshape(2, 3), [[-0.0, 7.0, 1 / 3]])
+    block.add("part", wp.uint8)
+    block.fill()
+    arrays = block.upload()
+    assert arrays["corner"].numpy().tolist() == [0, 1, 2, 7, 6, 5, 8, 7, 6]
+    assert np.array_equal(arrays["position"].numpy(), np.array([[0, 1, 2], [3, 4, 5], [0, 7, 1 / 3]], np.float32))
+    assert len(arrays["part"]) == 0
+    assert arrays["position"].ptr - arrays["corner"].ptr == 256
 
 
 def test_maps_do_not_change_the_picture() -> None:

@@ -11,7 +11,7 @@ from gcd_dataset.generator.body.landmarks import model_landmarks
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import HairStyle, Scene, look_at, render, scene_of
 from gcd_dataset.generator.render.figure import body_masks, eyeballs, hair_shell
-from gcd_dataset.generator.render.geometry import HEM, PanelBorders, solid_of
+from gcd_dataset.generator.render.geometry import HEM, PanelBorders, panel_borders, solid_of
 from gcd_dataset.generator.render.pictures import HAIR
 from gcd_dataset.records import Body, BodyPart, BoxMesh
 from tests.generator.render.scenes import view_of
@@ -19,7 +19,7 @@ from tests.helpers import body_from, far_ball, joined, napkins, patch, tube
 
 
 def borders_of(mesh: BoxMesh) -> PanelBorders:
-    return solid_of(scene_of(mesh, mesh.vertices, far_ball())).borders
+    return panel_borders(scene_of(mesh, mesh.vertices, far_ball()))
 
 
 def test_the_border_of_panels_is_their_perimeter() -> None:

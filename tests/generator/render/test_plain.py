@@ -74,11 +74,11 @@ def test_a_garment_looks_the_same_alone_as_among_others() -> None:
     """Also beside drawn views of the same scene."""
     wearers = prepare(1, 1, MakeConfig(stage="mesh", bodies="both", resolution=10.0)).dressed
     scenes = [garment_scene(one.box_mesh.vertices, one.box_mesh, one.body) for one in wearers if one.box_mesh]
-    together = start_plain(scenes, size=48, device="cpu").pictures()
+    together = start_plain(scenes, size=48, device="cpu").lend_rgb()
     drawn, beside = render(scenes, [*draw_views(1, 1, scenes[1], 1, row=1), plain_view(scenes[1], row=1)], size=48)
     alone = [render_view(scene, size=48, view=side, device="cpu") for scene, side in zip(scenes, SIDES, strict=True)]
-    assert [np.array_equal(together[k].rgb, one) for k, one in zip((0, 3), alone, strict=True)] == [True, True]
-    assert np.array_equal(beside.rgb, together[2].rgb)
+    assert [np.array_equal(together[k], one) for k, one in zip((0, 3), alone, strict=True)] == [True, True]
+    assert np.array_equal(beside.rgb, together[2])
     assert not is_paper(drawn.rgb).all()
 
 
