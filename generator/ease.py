@@ -10,7 +10,7 @@ if no cloth goes round the right one. A skirt goes round both legs, in a level p
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
@@ -60,21 +60,19 @@ def ease_of(
             if np.isfinite([own.cloth, own.worn]).any():
                 found[name] = own
                 break
-    neckline = _neckline(pattern)
+    edges = [edge for panel in pattern.panels for edge in zip(panel.edges, panel.edge_lengths(), strict=True)]
+    neckline = sum(length for edge, length in edges if edge.label in NECKLINE) or np.nan
     found["neck"] = replace(found["neck"], cloth=neckline, worn=neckline if worn else np.nan)
-    found |= {name: Ease(line.of(cut), line.body) for name, line in _lines(planes, mesh, size).items()}
-    return {name: _rounded(found.get(name, Ease())) for name in EASE}
-
-
-def _rounded(ease: Ease) -> Ease:
-    return Ease(*(round(float(length), DECIMALS) for length in (ease.cloth, ease.body, ease.worn)))
+    found |= _lengths(cut, planes, mesh, size)
+    figures = {name: astuple(found.get(name, Ease())) for name in EASE}
+    return {name: Ease(*(round(float(length), DECIMALS) for length in lengths)) for name, lengths in figures.items()}
 
 
 def hung(mesh: BoxMesh, pattern: Pattern, size: Measurements) -> Float[np.ndarray, "c 3"]:
     """Each row of ``mesh.uv`` in space, before sewing [cm]: panels as placed, moved in x and y so that seams meet best.
 
     Programs place the parts of a garment with gaps. A garment with a neckline hangs from the sides of the neck, a
-    strapless one from the armpits, any other keeps the height of its largest panel. Sleeves begin at the shoulder seam.
+    strapless one from the armpits, any other keeps the height of its largest part. Sleeves begin at the shoulder seam.
     """
     sleeves, panel, placed = _on_sleeves(mesh), _panel_of_rows(mesh), np.empty((len(mesh.uv), 3))
     for row, each in enumerate(pattern.panels):
@@ -108,10 +106,10 @@ def hung(mesh: BoxMesh, pattern: Pattern, size: Measurements) -> Float[np.ndarra
 
 
 def _anchor(mesh: BoxMesh, sleeves: np.ndarray) -> int:
-    """The largest panel of the trunk, or of all where none is labelled."""
-    area = np.bincount(mesh.panel_id, _flat_areas(mesh), minlength=len(mesh.panel_names))
+    """The panel of the trunk, or of all where none is labelled, with the most faces."""
     on_trunk = np.array([label == PanelRole.BODY for label in mesh.panel_labels])
-    return int(np.argmax(np.where(on_trunk if on_trunk.any() else ~sleeves, area, 0.0)))
+    faces = np.bincount(mesh.panel_id, minlength=len(on_trunk))
+    return int(np.argmax(np.where(on_trunk if on_trunk.any() else ~sleeves, faces, 0)))
 
 
 def _heights(
@@ -164,19 +162,14 @@ def _below_top(mesh: BoxMesh, heights: Float[np.ndarray, " c"]) -> Float[np.ndar
         if not found:
             break
         for each in found:
-            ends, rows = edges[panel[edges[:, 0]] == each], np.flatnonzero(panel == each)
-            along = _sampled(mesh.uv[ends]), _sampled(known[mesh.uv_vertex[ends]][..., None])
-            heights[rows] = (along[1][:, 0] - cdist(mesh.uv[rows], along[0])).max(axis=1)
+            (start, end), rows = edges[panel[edges[:, 0]] == each].T, np.flatnonzero(panel == each)
+            ends = np.column_stack([mesh.uv, known[mesh.uv_vertex]])
+            along = np.concatenate([(1 - t) * ends[start] + t * ends[end] for t in np.linspace(0.0, 1.0, 9)])
+            heights[rows] = (along[:, 2] - cdist(mesh.uv[rows], along[:, :2])).max(axis=1)
         for each in found:
             known[mesh.uv_vertex[panel == each]] = heights[panel == each]
         waiting -= found
     return heights
-
-
-def _sampled(ends: Float[np.ndarray, "e 2 d"]) -> Float[np.ndarray, "n d"]:
-    """Points along edges."""
-    share = np.linspace(0.0, 1.0, 9)[:, None, None]
-    return ((1 - share) * ends[:, 0] + share * ends[:, 1]).reshape(-1, ends.shape[2])
 
 
 def _panel_of_rows(mesh: BoxMesh) -> np.ndarray:
@@ -189,22 +182,6 @@ def _panel_of_rows(mesh: BoxMesh) -> np.ndarray:
 def _on_sleeves(mesh: BoxMesh) -> np.ndarray:
     """(p) whether each panel belongs to a sleeve."""
     return np.array([label == PanelRole.ARM for label in mesh.panel_labels])
-
-
-def _flat_areas(mesh: BoxMesh) -> Float[np.ndarray, " f"]:
-    first, second = (mesh.uv[mesh.corners[:, k]] - mesh.uv[mesh.corners[:, 0]] for k in (1, 2))
-    return 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
-
-
-def _neckline(pattern: Pattern) -> float:
-    """Length of the edges round the neck [cm]; NaN without any."""
-    lengths = [
-        length
-        for panel in pattern.panels
-        for edge, length in zip(panel.edges, panel.edge_lengths(), strict=True)
-        if edge.label in NECKLINE
-    ]
-    return sum(lengths) if lengths else np.nan
 
 
 # -------------------------------------------------------------------------------------------------------------- planes
@@ -240,31 +217,26 @@ class _Plane:
     def girth(self) -> float:
         """Length of a tape round the skin [cm]; NaN where there is none."""
         assert self.skin is not None
-        cut = section((self.skin.vertices - self.centre) @ self.frame, self.skin.faces, 0, 0.0)
+        vertices, faces = self.skin
+        cut = section((vertices - self.centre) @ self.frame, faces, 0, 0.0)
         return girth(cut.reshape(-1, 3)[:, 1:]) if len(cut) else np.nan
 
 
-@dataclass(frozen=True, eq=False)
-class _Skin:
-    """Parts of a body."""
+_Skin = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]  # vertices and faces of parts of a body
 
-    vertices: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
 
-    @classmethod
-    def of(cls, body: Body, *parts: BodyPart) -> Self:
-        own = np.isin(body.parts, [part.value for part in parts])
-        a, b, c = body.faces.T
-        number = np.cumsum(own) - 1
-        return cls(np.asarray(body.vertices[own], float), number[body.faces[own[a] & own[b] & own[c]]])
+def _skin(body: Body, *parts: BodyPart) -> _Skin:
+    own = np.isin(body.parts, [part.value for part in parts])
+    a, b, c = body.faces.T
+    return np.asarray(body.vertices[own], float), (np.cumsum(own) - 1)[body.faces[own[a] & own[b] & own[c]]]
 
 
 def _planes(body: Body, size: Measurements) -> dict[str, list[_Plane]]:
     """The planes of each girth, in the order in which they are tried."""
     limbs = limbs_of(body)
-    trunk, skin = limbs[BodyPart.TRUNK], _Skin.of(body, BodyPart.TRUNK, *LEGS)
+    trunk, whole = limbs[BodyPart.TRUNK], _skin(body, BodyPart.TRUNK, *LEGS)
 
-    def level(height: float, skin: _Skin = skin, lower: float = 0.0) -> _Plane:
+    def level(height: float, skin: _Skin = whole, lower: float = 0.0) -> _Plane:
         return _Plane(_at_height(trunk, height), UP, skin, lower=lower)
 
     nape = size.height - size.head_l
@@ -272,7 +244,7 @@ def _planes(body: Body, size: Measurements) -> dict[str, list[_Plane]]:
     bust, hips = nape - size.vert_bust_line, waist - size.hips_line
     behind = np.array([trunk.origin[0], nape, trunk.origin[2] - 0.5 * trunk.deep])
     lean = np.array([0.0, np.cos(NECK_LEAN), np.sin(NECK_LEAN)])
-    neck = _Plane(behind, lean, _Skin.of(body, BodyPart.TRUNK, BodyPart.HEAD))
+    neck = _Plane(behind, lean, _skin(body, BodyPart.TRUNK, BodyPart.HEAD))
     found = {
         "neck": [_nearest([neck.moved(by) for by in NECK_SEARCH], 0.0)],
         "bust": [level(bust, lower=LOWERED)],
@@ -282,7 +254,7 @@ def _planes(body: Body, size: Measurements) -> dict[str, list[_Plane]]:
     }
     crotch = hips - size.crotch_hip_diff
     legs = [(part, leg) for part in LEGS if (leg := leg_of(body, part))]
-    skins, both = [_Skin.of(body, part) for part, _ in legs], _Skin.of(body, *LEGS)
+    skins, both = [_skin(body, part) for part, _ in legs], _skin(body, *LEGS)
     for name, height in {"thigh": crotch - BELOW_CROTCH, "knee": KNEE * crotch, "calf": CALF * crotch}.items():
         centres = [_at_height(leg, height) for _, leg in legs]
         found[name] = [
@@ -290,7 +262,7 @@ def _planes(body: Body, size: Measurements) -> dict[str, list[_Plane]]:
             for (_, leg), skin, centre, other in zip(legs, skins, centres, centres[::-1], strict=True)
         ]
         found[name].append(level(height, both))
-    arms = [(limbs[part], _Skin.of(body, part)) for part in ARMS if part in limbs]
+    arms = [(limbs[part], _skin(body, part)) for part in ARMS if part in limbs]
     for name, place in {"upper_arm": UPPER_ARM, "elbow": ELBOW, "wrist": WRIST}.items():
         found[name] = [
             _Plane(_along(arm, place), arm.axis, skin, on_arm=True, drawn=_unit(arm.axis * (1.0, 1.0, 0.0)))
@@ -320,50 +292,34 @@ def _along(arm: Limb, place: float) -> Float[np.ndarray, "3"]:
     return arm.origin + (start + place * (end - start)) * arm.axis
 
 
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """Half of a section along the body: the plane of a length."""
+def _lengths(cut: "_Cloth", planes: Mapping[str, list[_Plane]], mesh: BoxMesh, size: Measurements) -> dict[str, Ease]:
+    """The lengths of ``EASE`` that such a garment has: halves of sections along the body."""
 
-    plane: _Plane
-    keeps: Callable[[Float[np.ndarray, "s 3"]], np.ndarray]
-    """Which points count [cm]."""
-    body: float
-    """The wearer's own length [cm]."""
-    on_arms: bool = False
+    def length(plane: _Plane, keeps: Callable[[np.ndarray], np.ndarray]) -> float:
+        """Length of the cloth at the points (x, y, z) that ``keeps`` accepts [cm]."""
+        found = cut.section(plane)
+        middle = found[:, :, :3].mean(axis=1) @ plane.frame.T + plane.centre
+        return float(_flat_lengths(found)[keeps(middle.T)].sum()) or np.nan
 
-    def of(self, cloth: "_Cloth") -> float:
-        """Length of the cloth [cm]; NaN where there is none."""
-        cut = cloth.section(self.plane, on_arms=self.on_arms)
-        middle = cut[:, :, :3].mean(axis=1) @ self.plane.frame.T + self.plane.centre
-        return float(_flat_lengths(cut)[self.keeps(middle)].sum()) or np.nan
-
-
-def _lines(planes: Mapping[str, list[_Plane]], mesh: BoxMesh, size: Measurements) -> dict[str, _Line]:
-    """The lines of the lengths of ``EASE`` that such a garment has."""
     centre, leg = planes["waist"][0].centre, planes["knee"][0].centre
-    crotch, nape = float(planes["thigh"][-1].centre[1]) + BELOW_CROTCH, size.height - size.head_l
+    waist, crotch = float(centre[1]), float(planes["thigh"][-1].centre[1]) + BELOW_CROTCH
+    found, nape = dict[str, Ease](), size.height - size.head_l
     sagittal, frontal = _Plane(centre, RIGHT), _Plane(centre, FRONT)
-    found = {}
     has_legs = any(map(is_trouser_leg, mesh.panel_names))
     if NECKLINE & mesh.labels.keys() and not has_legs:
-        found["back"] = _Line(sagittal, lambda at: (at[:, 2] < centre[2]) & (at[:, 1] < nape + NEAR), size.waist_line)
+        behind = length(sagittal, lambda at: (at[2] < centre[2]) & (at[1] < nape + NEAR))
+        found["back"] = Ease(behind, size.waist_line)
     if PanelRole.LEG in mesh.panel_labels:
-        found["outseam"] = _Line(
-            frontal, lambda at: (at[:, 0] < leg[0]) & (at[:, 1] < centre[1] + NEAR), float(centre[1])
-        )
+        found["outseam"] = Ease(length(frontal, lambda at: (at[0] < leg[0]) & (at[1] < waist + NEAR)), waist)
     if has_legs:
-        found["inseam"] = _Line(
-            frontal, lambda at: (at[:, 0] > leg[0]) & (at[:, 0] < 0.0) & (at[:, 1] < crotch), crotch
-        )
+        inside = length(frontal, lambda at: (at[0] > leg[0]) & (at[0] < 0.0) & (at[1] < crotch))
+        found["inseam"] = Ease(inside, crotch)
     if planes["elbow"]:
         elbow, arm = planes["elbow"][0].centre, planes["elbow"][0].normal
-        upwards = _unit(UP - (UP @ arm) * arm)
-        found["sleeve"] = _Line(
-            _Plane(elbow, np.cross(arm, upwards)),
-            lambda at: ((at - elbow) @ upwards > 0.0) & (at[:, 0] * elbow[0] > 0.0),
-            size.arm_length,
-            on_arms=True,
-        )
+        up, side = _unit(UP - (UP @ arm) * arm), np.sign(elbow[0])
+        along = _Plane(elbow, np.cross(arm, up), on_arm=True)
+        above = length(along, lambda at: (up @ at > up @ elbow) & (side * at[0] > 0.0))
+        found["sleeve"] = Ease(above, size.arm_length)
     return found
 
 
@@ -378,9 +334,9 @@ class _Cloth:
         self._faces = {on_arms: mesh.corners[sleeves == on_arms] for on_arms in (False, True)}
         self._corners, self._flat = corners, np.column_stack([mesh.uv, _panel_of_rows(mesh)])
 
-    def section(self, plane: _Plane, *, on_arms: bool) -> Float[np.ndarray, "s 2 6"]:
+    def section(self, plane: _Plane) -> Float[np.ndarray, "s 2 6"]:
         """The section with a plane: segments with the coordinates in its frame, in the panel, and the panel's row."""
-        faces, height = self._faces[on_arms], self._corners @ plane.normal - plane.centre @ plane.normal
+        faces, height = self._faces[plane.on_arm], self._corners @ plane.normal - plane.centre @ plane.normal
         first, second, third = (height > 0.0)[faces].T
         rows = faces[(first != second) | (first != third)].ravel()
         in_frame = (self._corners[rows] - plane.centre) @ plane.frame
@@ -402,7 +358,7 @@ class _Cloth:
 
     def _ring(self, plane: _Plane) -> tuple[float, frozenset[int]]:
         """Length of the shortest closed section round the plane's centre, and the panels that it runs over."""
-        cut = self.section(plane, on_arms=plane.on_arm)
+        cut = self.section(plane)
         if not len(cut):
             return np.nan, frozenset()
         loop, length = loops(cut[:, :, :3]), _flat_lengths(cut)

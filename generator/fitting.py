@@ -73,7 +73,10 @@ class Fitting:
             "stretch_p99": round(self.drape.stretch_p99, 4),
             "mesh_seconds": round(self.mesh_seconds, 3),
             "drape_seconds": round(self.drape_seconds, 3),
-            "fit": {name: _figures(ease) for name, ease in self.ease.items()},
+            "fit": {
+                name: {key: x if math.isfinite(x) else None for key, x in asdict(ease).items()}
+                for name, ease in self.ease.items()
+            },
         }
 
     def ease_lines(self) -> Iterator[str]:
@@ -83,11 +86,6 @@ class Fitting:
             columns = (ease.cloth, ease.body, ease.ease, ease.worn)
             if math.isfinite(ease.cloth) or math.isfinite(ease.worn):
                 yield f"{name:10}" + "".join(f"{x:8.1f}" if math.isfinite(x) else f"{'':8}" for x in columns)
-
-
-def _figures(ease: Ease) -> dict[str, float | None]:
-    """Cloth, body and cloth as worn as JSON values, which lack NaN."""
-    return {name: value if math.isfinite(value) else None for name, value in asdict(ease).items()}
 
 
 @dataclass(frozen=True)

@@ -60,11 +60,7 @@ def principal_stretches(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Fl
 
     1 is unstretched. Faces without flat area have stretches of 1.
     """
-    return stretches_of(deformation(mesh, vertices))
-
-
-def stretches_of(shape: Deformation) -> Float[np.ndarray, "f 2"]:
-    """``principal_stretches`` of a deformation."""
+    shape = deformation(mesh, vertices)
     uu, vv, uv = shape.squares()
     middle, spread = 0.5 * (uu + vv), np.hypot(0.5 * (uu - vv), uv)
     stretches = np.sqrt([middle + spread, np.maximum(middle - spread, 0.0)])

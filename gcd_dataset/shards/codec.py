@@ -15,6 +15,7 @@ import io
 import math
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import astuple
 from dataclasses import fields as dataclass_fields
 from typing import TYPE_CHECKING, Any, overload
 
@@ -206,13 +207,13 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
         "mesh.z": pack(_mesh_arrays(mesh or NO_MESH, tensor), MESH_CODINGS),
         "verts.z": pack({"verts": vertices}, {"verts": POSITION}),
         "points.z": _points(sample.points),
-        **({} if sample.maps is None else {MAPS: _maps(sample.maps)}),
+        **({} if sample.maps is None else {MAPS: pack({f: _half(getattr(sample.maps, f)) for f in ARRAYS[MAPS]})}),
     }
 
 
-def _maps(maps: Maps) -> bytes:
-    with np.errstate(over="ignore"):
-        return pack({field: getattr(maps, field).astype(np.float16) for field in ARRAYS[MAPS]})
+@np.errstate(over="ignore")
+def _half(values: np.ndarray) -> np.ndarray:
+    return values.astype(np.float16)
 
 
 def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
@@ -290,6 +291,10 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
     strain = None if drape is None else drape.strain
     texts = [text.partition(": ") for text in provenance.rejects]
     rejects = provenance.turned_down or [Rejected(provenance.index, rule, reason) for rule, _, reason in texts]
+    fit = {
+        name: [length if math.isfinite(length) else NO_LENGTH for length in astuple(ease)]
+        for name, ease in sample.ease.items()
+    }
     figures = dict(NO_DRAPE)
     if drape is not None:
         figures |= {"outcome": drape.outcome.name, "frames": drape.frames}
@@ -326,15 +331,11 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         if fabric is None
         else {"name": fabric.name, "parameters": json_text(dict(fabric.parameters))},
         "gathers": list(map(float, sample.gathers)) or [-1.0],
-        **({"fit": {name: _fit_entry(ease) for name, ease in sample.ease.items()}} if sample.ease else {}),
+        **({"fit": fit} if fit else {}),
         **({} if sample.maps is None else {"softened": float(sample.maps.softened)}),
         "tags": list(sample.tags) or [""],
         "source": provenance.source,
     }
-
-
-def _fit_entry(ease: Ease) -> list[float]:
-    return [float(value) if math.isfinite(value) else NO_LENGTH for value in (ease.cloth, ease.body, ease.worn)]
 
 
 # ------------------------------------------------------------------------------------------------------------- decoding
@@ -422,12 +423,17 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             shape=None if meta["pose"] is None else BodyShape(field["body"].astype(float), **meta["pose"]),
             box_mesh=None if meta["vertex_labels"] is None else _mesh(field, pattern),
             drape=None if meta["drape"] is None else _drape(field),
-            maps=_read_maps(field),
+            maps=Maps(**{f: field[f].astype(float) for f in ARRAYS[MAPS]}, softened=meta["softened"])
+            if "gap" in field
+            else None,
             points=field["points"].astype(float) if len(field["points"]) else None,
             grade=Grade(meta["grade"]) if meta["grade"] else None,
             fabric=None if meta["fabric"] is None else NamedFabric(**meta["fabric"]),
             gathers=tuple(meta["gathers"]),
-            ease={name: Ease(**_known(figures)) for name, figures in meta.get("fit", {}).items()},
+            ease={
+                name: Ease(**{key: value for key, value in figures.items() if value is not None})
+                for name, figures in meta.get("fit", {}).items()
+            },
             tags=tuple(meta["tags"]),
             caption=field.get("caption"),
             views=_views(pictures, field),
@@ -664,17 +670,6 @@ def _provenance(meta: Mapping[str, Any], rejects: Sequence[Mapping[str, Any]]) -
         ),
         body_name=meta["body"],
     )
-
-
-def _read_maps(field: Mapping[str, Any]) -> Maps | None:
-    if ARRAYS[MAPS][0] not in field:
-        return None
-    stretch, gap, pressure = (field[name].astype(float) for name in ARRAYS[MAPS])
-    return Maps(stretch, gap, pressure, field["meta"]["softened"])
-
-
-def _known(figures: Mapping[str, float | None]) -> dict[str, float]:
-    return {name: value for name, value in figures.items() if value is not None}
 
 
 def _mesh(field: Mapping[str, Any], pattern: Pattern) -> BoxMesh:

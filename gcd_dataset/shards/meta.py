@@ -58,13 +58,12 @@ import json
 import math
 import re
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Mapping
 from typing import Any
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.jsonfile import found, loads
-from gcd_dataset.records import EASE, Ease, Rejected
+from gcd_dataset.records import EASE, Rejected
 from gcd_dataset.shards.layout import LARGEST_JSON, META, SCHEMA, Bytes, key_of
 
 
@@ -163,6 +162,10 @@ def read_meta(data: Bytes) -> dict[str, Any]:
 def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
     """The values in items of the keys for which the file has others."""
     holds, drape, fabric = meta["holds"], meta["drape"], meta["fabric"]
+    fit = {
+        name: {key: None if x == NO_LENGTH else x for key, x in zip(("cloth", "body", "worn"), lengths, strict=True)}
+        for name, lengths in meta.get("fit", {}).items()
+    }
     stretches = {name: None if drape[name] == -1.0 else drape[name] for name in STRETCHES}
     return {
         "rejects": [f"{entry['rule']}: {entry['reason']}" for entry in meta["rejects"] if entry["rule"]],
@@ -174,12 +177,7 @@ def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
         "fabric": fabric | {"parameters": _parsed(fabric["parameters"])} if fabric["name"] else None,
         "gathers": [ratio for ratio in meta["gathers"] if ratio != -1.0],
         "tags": [word for word in meta["tags"] if word],
-    } | ({"fit": {name: _lengths(meta["fit"][name]) for name in EASE}} if "fit" in meta else {})
-
-
-def _lengths(figures: Sequence[float]) -> dict[str, float | None]:
-    names = [entry.name for entry in fields(Ease)]
-    return {name: None if figure == NO_LENGTH else figure for name, figure in zip(names, figures, strict=True)}
+    } | ({"fit": fit} if fit else {})
 
 
 def _parsed(text: str) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from gcd_dataset.generator.drape.body_field import closed_skin
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.fabrics import DYNES_PER_CM, POISSON, Fabric, shear_stiffness
 from gcd_dataset.generator.drape.kernels import skin
-from gcd_dataset.generator.quality import Deformation, deformation, stretches_of
+from gcd_dataset.generator.quality import Deformation, deformation, principal_stretches
 from gcd_dataset.records import Body, Drape, Maps
 
 CONTACT = DrapeConfig().body_gap + 0.15  # cm: nearer cloth rests on the skin
@@ -38,7 +38,7 @@ def maps_of(job: DrapeJob, drape: Drape) -> Maps:
         return np.bincount(corners.ravel(), weights, minlength=len(vertices))
 
     shape = deformation(mesh, vertices)
-    flat, stretches = gathered(shape.flat), stretches_of(shape)
+    flat, stretches = gathered(shape.flat), principal_stretches(mesh, vertices)
     stretch = [gathered(shape.flat * each) / np.maximum(flat, TINY) for each in stretches.T]
     away, gap = _gaps(job.body, vertices)
     force = np.stack([gathered(*each) for each in _forces(shape, job.fabric)], axis=1)
