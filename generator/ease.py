@@ -33,7 +33,7 @@ KNEE, CALF = 0.6, 0.48  # heights over that of the crotch; the calf of drawn bod
 DECIMALS = 2
 BELOW_CROTCH = 2.0  # cm: place of the thigh's section
 NEAR = 2.0  # cm: a seam so near counts by its shorter side, a hem so near as cloth at the landmark
-LOWERED = 4.0  # cm: how far below bust and waist cloth counts as worn there
+LOWERED = 2.0  # cm: how far a section at bust or waist may be lowered; with NEAR, cloth counts to 4 cm below
 AROUND = 1.9 * np.pi  # rad, about the body: a section over a smaller angle is open, as in a slit or at a sloping hem
 RIGHT = np.array([-1.0, 0.0, 0.0])
 LEGS = (BodyPart.RIGHT_LEG, BodyPart.LEFT_LEG)
@@ -257,9 +257,10 @@ def _planes(body: Body, size: Measurements) -> dict[str, list[_Plane]]:
     skins, both = [_skin(body, part) for part, _ in legs], _skin(body, *LEGS)
     for name, height in {"thigh": crotch - BELOW_CROTCH, "knee": KNEE * crotch, "calf": CALF * crotch}.items():
         centres = [_at_height(leg, height) for _, leg in legs]
+        others = centres[::-1] if len(legs) > 1 else [None]
         found[name] = [
             _Plane(centre, -leg.axis, skin, beside=other)
-            for (_, leg), skin, centre, other in zip(legs, skins, centres, centres[::-1], strict=True)
+            for (_, leg), skin, centre, other in zip(legs, skins, centres, others, strict=False)
         ]
         found[name].append(level(height, both))
     arms = [(limbs[part], _skin(body, part)) for part in ARMS if part in limbs]
