@@ -277,13 +277,14 @@ def _closed(seams: Sequence[Seam], entries: Sequence[Any], at: JsonPath) -> tupl
         here = at.within(f"closure {i}")
         entry = here.mapping(value, "an entry of closures")
         edge = EdgeRef(here.text(entry.get("panel"), "panel"), here.index(entry.get("edge"), "edge number"))
-        if edge not in row_of:
+        if (row := row_of.pop(edge, None)) is None:
             raise here.error(
-                f"no stitch begins with edge {edge.edge} of panel {shown(edge.panel)}: name its first side"
+                f"no stitch begins with edge {edge.edge} of panel {shown(edge.panel)}, or an earlier closure names it: "
+                "name each first side once"
             )
         closure = role_of(Closure, here.text(entry.get("closure"), "closure"))
         start, end = here.numbers(given(entry, "closed", [0, 1]), 2, "closed")
-        found[row_of[edge]] = replace(seams[row_of[edge]], closure=closure, closed=(start, end))
+        found[row] = replace(found[row], closure=closure, closed=(start, end))
     return tuple(found)
 
 

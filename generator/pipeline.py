@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.errors import MeshError, PatternError
+from gcd_dataset.errors import BodyError, MeshError, PatternError, shown
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.body.sizes import SizeChart
@@ -75,8 +75,17 @@ def fit(design: GarmentDesign, sizes: Iterable[Measurements]) -> tuple[Pattern, 
 
 
 def grade(design: GarmentDesign, chart: SizeChart, *, name: str = "garment") -> dict[str, Pattern | Reject]:
-    """Each size of a chart, to the pattern of a design for its body, or to the reason why a rule rejects it."""
-    return {size: try_on(body, design, name=name) for size, body in chart.bodies.items()}
+    """Each size of a chart, to the pattern of a design for its body, or to the reason why a rule rejects it.
+
+    Raises ``BodyError`` with chart and size for measures that no body has.
+    """
+    graded = dict[str, Pattern | Reject]()
+    for size, body in chart.bodies.items():
+        try:
+            graded[size] = try_on(body, design, name=name)
+        except BodyError as error:
+            raise BodyError(f"{chart.source}: size {shown(size)}: {error}") from error
+    return graded
 
 
 def sample_key(index: int) -> str:

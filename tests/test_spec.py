@@ -102,6 +102,13 @@ def test_a_closure_that_cannot_be_read_is_named(entry: Any, said: str) -> None:
         pattern_from_spec(spec, "tube")
 
 
+def test_a_stitch_has_one_closure() -> None:
+    spec = parsed(closing(tube(), (Closure.ZIP, (0.0, 1.0))))
+    spec["pattern"]["closures"] *= 2
+    with pytest.raises(SpecError, match=r"tube: closure 1: .* an earlier closure names it: name each first side once"):
+        pattern_from_spec(spec, "tube")
+
+
 def test_written_and_read_is_the_same(tmp_path: Path) -> None:
     write_pattern(tube(), tmp_path / "tube_specification.json")
     back = read_pattern(tmp_path / "tube_specification.json")

@@ -35,7 +35,7 @@ def repaired(spec: Any, *, source: str = "specification") -> tuple[Mapping[str, 
     - Panels without an edge are left out.
     - An outline that ends elsewhere than it starts gets one straight edge more, as NeuralTailor counts it.
     - An arc too small for its chord becomes a half circle.
-    - Seams to a missing panel or edge are left out.
+    - Seams to a missing panel or edge are left out, with their closures.
     - The panel order names every panel once; empty places in it are left out.
 
     Raises ``SpecError`` for a file without panels.
@@ -61,6 +61,13 @@ def repaired(spec: Any, *, source: str = "specification") -> tuple[Mapping[str, 
     if len(kept) < len(stitches):
         remarks.append(f"{len(stitches) - len(kept)} of {len(stitches)} seams to missing edges: left out")
     body |= {"panels": panels, "stitches": kept}
+    if len(kept) < len(stitches) and body.get("closures") is not None:
+        closed = [(first["panel"], first["edge"]) for first, *_ in kept]
+        body["closures"] = [
+            entry
+            for entry in at.list_of(body, "closures")
+            if not isinstance(entry, Mapping) or (entry.get("panel"), entry.get("edge")) in closed
+        ]
     if (order := body.get("panel_order")) is not None:
         given = [name for name in at.list_of(body, "panel_order") if isinstance(name, str) and name in panels]
         body["panel_order"] = list(dict.fromkeys((*given, *panels)))

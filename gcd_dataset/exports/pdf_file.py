@@ -249,7 +249,9 @@ class _PaperSheet:
 
 
 def _sheet(patterns: Graded, paper: Paper, allowance: float) -> _PaperSheet:
-    pieces = {size: cut_pieces(pattern, seam_allowance=allowance) for size, pattern in patterns.items()}
+    labels = [label for label, _ in _names(list(patterns), "size")]
+    cut = (cut_pieces(pattern, seam_allowance=allowance) for pattern in patterns.values())
+    pieces = dict(zip(labels, cut, strict=True))
     every = [piece for found in pieces.values() for piece in found]
     boxes = boxes_by_name((piece.name, piece.box) for piece in every)
     low, high = np.stack(list(boxes.values()), axis=1)

@@ -59,12 +59,12 @@ class SizeChart:
         """
         found = {name: float(getattr(measures.require(*self.limits), name)) for name in self.limits}
         place = max(np.searchsorted(self.limits[name], value, side="right") for name, value in found.items())
-        sizes = ["", *self.bodies, ""]
-        if not sizes[place]:
+        sizes = list(self.bodies)
+        if not 1 <= place <= len(sizes):
             figures = ", ".join(f"{name} {value:.1f} cm" for name, value in found.items())
-            end = f"larger than size {shown(sizes[-2])}" if place else f"smaller than size {shown(sizes[1])}"
+            end = f"larger than size {shown(sizes[-1])}" if place else f"smaller than size {shown(sizes[0])}"
             raise BodyError(f"{self.source}: a body with {figures} is {end}: add a size to the chart")
-        return sizes[place]
+        return sizes[place - 1]
 
     def moved(self, size: str, steps: int) -> str:
         """The size that is ``steps`` sizes larger, or smaller if negative.

@@ -31,6 +31,7 @@ UNDER_CROTCH = 2.0  # cm below the crotch seam, where a trouser leg is a tube
 LOOSE_HEM = 60.0  # cm, girth of a tube that does not catch on the foot
 LEG_GAP = -1.5  # cm by which a trouser leg must reach beyond the leg: thighs touch each other
 UPRIGHT = 0.5  # least vertical part of a leg's direction at which the legs stand on either side of the middle
+SLEEVE_GAP = 1.0  # cm between a sleeve below its armhole and the trunk, or the cloth round it
 MIDDLE_GAP = 0.5  # cm between a trouser leg and the plane between the legs
 FEET_ROOM = 1.25  # least girth of a skirt that is sewn round the feet, as a multiple of the girth of both feet
 ANKLES_BELOW = 0.12  # share of the body's height below which the ankles lie
@@ -65,9 +66,40 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
         sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces, 0].sum(axis=1) > 0.0)
         if not roll_round_limb(mesh, sleeve, arm, placed):
             put_on_limb(mesh, sleeve, arm, placed)
+        _keep_beside_trunk(mesh, sleeve, arm, side, limbs[BodyPart.TRUNK], placed)
     if trousers.any():
         _put_on_legs(mesh, trousers, body, placed)
     return placed
+
+
+def _keep_beside_trunk(
+    mesh: BoxMesh, sleeve: Bool[np.ndarray, " f"], arm: Limb, side: float, trunk: Limb, placed: Float[np.ndarray, "v 3"]
+) -> None:
+    """Compress a sleeve, in ``placed``, where it reaches below its armhole into the trunk or into cloth beside it.
+
+    It is compressed towards the inside of the arm, or where there is no arm towards its own outside.
+    """
+    own, other = np.zeros((2, len(placed)), bool)
+    own[mesh.faces[sleeve]] = other[mesh.faces[~sleeve]] = True
+    below = placed[:, 1] < placed[own & other, 1].min(initial=np.inf)
+    rows = np.flatnonzero(own & ~other & below)
+    beside = np.concatenate([placed[other], trunk.skin])
+    beside = beside[side * beside[:, 0] > 0.0]
+    if not (other & own).any() or not (len(rows) and len(beside)):
+        return
+    x, height = side * placed[rows, 0], placed[rows, 1]
+    slices, others, arm_slices = (np.floor(y / SLICE).astype(int) for y in (height, beside[:, 1], arm.skin[:, 1]))
+    _, _, near_arm, arm_slices = _from_lowest(slices, arm_slices)
+    slices, count, near, others = _from_lowest(slices, others)
+    inmost, outmost = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(inmost, slices, x)
+    np.maximum.at(outmost, slices, x)
+    room = _most_beside(others, side * beside[near, 0], count, least=-np.inf) + SLEEVE_GAP
+    inside_arm = -_most_beside(arm_slices, -side * arm.skin[near_arm, 0], count, least=-np.inf) - SLEEVE_GAP
+    fixed = np.minimum(np.maximum(outmost, room + SLEEVE_GAP), inside_arm)
+    scale = np.maximum(fixed - room, 0.0) / np.maximum(fixed - inmost, SLEEVE_GAP)
+    moved = ((inmost < room) & (inmost < fixed))[slices] & (x < fixed[slices])
+    placed[rows[moved], 0] = side * (fixed[slices] - scale[slices] * (fixed[slices] - x))[moved]
 
 
 def _put_on_legs(mesh: BoxMesh, trousers: Bool[np.ndarray, " p"], body: Body, placed: Float[np.ndarray, "v 3"]) -> None:

@@ -188,7 +188,7 @@ def _require_open_seams(group: Int[np.ndarray, " c"], sewn: SewnPoints, seams: t
     ends = np.flatnonzero(np.diff(sewn.seam, append=-1))
     closed = np.flatnonzero(group[sewn.left[starts]] == group[sewn.left[ends]])
     if len(closed):
-        number = int(closed[0])
+        number = int(sewn.seam[starts[closed[0]]])
         raise MeshError(f"{seam_name(number, seams[number])}: its two ends fall together; split both edges in two")
 
 

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -14,7 +15,7 @@ from pypdf import PdfReader
 from pypdf.generic import ContentStream
 
 from gcd_dataset.cli import main
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import BodyError, ConfigError
 from gcd_dataset.exports import dxf, pdf
 from gcd_dataset.generator import build_pattern, grade, read_chart
 from gcd_dataset.generator.garments import Reject, design_from_dict
@@ -47,6 +48,13 @@ def test_a_size_is_the_pattern_of_its_body_and_a_rule_rejects_the_others() -> No
         else:
             assert found == build_pattern(body, design, name="trousers")
     assert {type(found) for found in graded.values()} == {Pattern, Reject}
+
+
+def test_a_body_that_cannot_be_is_named_with_chart_and_size() -> None:
+    body = replace(CHART.body("88"), waist=1.0)
+    chart = replace(CHART, bodies={**CHART.bodies, "88": body})
+    with pytest.raises(BodyError, match=r"sizes_women\.toml: size 88: waist_back_width is .* correct the measurement"):
+        grade(design_from_dict(TROUSERS), chart)
 
 
 def test_the_girth_of_the_waistband_grows_by_the_step_of_the_chart() -> None:
@@ -140,6 +148,14 @@ def test_a_pdf_holds_cut_and_sew_lines_of_every_size(shirt: dict[str, Pattern], 
     text = "\n".join(page.extract_text() for page in PdfReader(tmp_path / "nest.pdf").pages)
     assert all(text.count(size) >= len(shirt[size].panels) + 1 for size in SIZES)
     assert f"{len(shirt['76'].panels)} pieces on" in text
+
+
+def test_names_of_sizes_that_no_font_has_are_plain_in_a_pdf(tmp_path: Path) -> None:
+    names = ["كبير", "M", "大", "x" * 500]
+    pdf(dict.fromkeys(names, squares()), tmp_path / "a.pdf")
+    text = "\n".join(page.extract_text() for page in PdfReader(tmp_path / "a.pdf").pages)
+    assert {"size_1", "M", "大"} <= set(text.split())
+    assert "■" not in text and max(map(len, text.split())) <= 60
 
 
 def test_a_nest_has_a_size(tmp_path: Path) -> None:

@@ -121,6 +121,7 @@ def test_faults_of_networks_are_repaired_and_named(tmp_path: Path, capsys: pytes
         "edges": [],
     }
     spec["pattern"]["stitches"] += [[{"panel": "front", "edge": 9}, {"panel": "back", "edge": 1}], []]
+    spec["pattern"]["closures"] = [{"panel": "front", "edge": 9, "closure": "zip"}]
     spec["pattern"]["panel_order"] = ["front", None, "front"]
     spec["pattern"]["new_panel_ids"] = [0, None]
     source = tmp_path / "odd.json"

@@ -121,6 +121,13 @@ def test_a_chart_of_a_user_may_decide_by_one_measure(tmp_path: Path) -> None:
     assert chart.size_of(replace(chart.body("S"), bust=86.0, waist=200.0)) == "M"
 
 
+def test_a_size_without_a_name_is_a_size(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    path.write_text(path.read_text().replace("[sizes.M]", '[sizes.""]'))
+    chart = read_chart(path)
+    assert chart.size_of(chart.body("")) == ""
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

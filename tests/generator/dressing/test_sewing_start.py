@@ -43,6 +43,10 @@ LEVELS = {
 CIRCLE = {"meta": {"upper": "Shirt", "bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.6, "suns": 1.5}}
 PENCIL = {"upper": None, "bottom": "PencilSkirt"}
 TROUSERS = {"meta": {"upper": None, "bottom": "Pants"}, "pants": {"length": 0.9, "flare": 0.6}}
+WIDE_SLEEVES = {
+    "sleeveless": False, "length": 0.9, "connecting_width": 1.4, "end_width": 1.3, "sleeve_angle": 14,
+    "connect_ruffle": 1.9, "cuff": {"type": "CuffBand", "top_ruffle": 1.7, "cuff_len": 0.1},
+}  # fmt: skip
 LONG_SLEEVES = {"sleeveless": False, "length": 1.15, "end_width": 0.5, "cuff": {"type": "CuffBand", "cuff_len": 0.1}}
 
 
@@ -186,6 +190,18 @@ def test_a_sleeve_longer_than_the_arm_starts_on_the_arm_and_not_round_the_hand()
     wrist = float((arm.skin @ arm.axis).max())
     assert (mesh.vertices[sleeve] @ arm.axis).max() > wrist + 3.0
     assert (sewing_start(mesh, neutral()[0])[sleeve] @ arm.axis).max() < wrist
+
+
+def test_a_wide_sleeve_below_its_armhole_starts_outside_trunk_and_bodice() -> None:
+    mesh = shirt(sleeve=WIDE_SLEEVES)
+    start = sewing_start(mesh, neutral()[0])
+    bodice, sleeve = side_of(mesh, PanelRole.BODY), side_of(mesh, PanelRole.ARM)
+    armhole = np.intersect1d(bodice, sleeve)
+    below = sleeve[start[sleeve, 1] < start[armhole, 1].min()]
+    assert len(below) > 10
+    beside = np.concatenate([start[bodice], skin_of(BodyPart.TRUNK, BodyPart.LEFT_LEG)])
+    for x, y, _ in start[np.setdiff1d(below, armhole)]:
+        assert x > beside[np.abs(beside[:, 1] - y) < 0.5 * SLICE, 0].max(initial=-np.inf)
 
 
 def test_the_end_of_a_moved_sleeve_is_straight() -> None:

@@ -156,6 +156,9 @@ def test_a_seam_that_closes_on_itself_is_an_error() -> None:
     sewn = SewnPoints(points(0, 1, 2, 2), points(3, 4, 5, 3), points(0, 0, 0, 1))
     with pytest.raises(MeshError, match=r"seam 0 \(a edge 0 to b edge 0\): its two ends fall together"):
         merge_points(sewn, points(0, 0, 0, 1, 1, 1), seams)
+    behind = (replace(seam(("a", 2), ("b", 2)), closure=Closure.OPEN), *seams)
+    with pytest.raises(MeshError, match=r"seam 1 \(a edge 0 to b edge 0\): its two ends fall together"):
+        merge_points(replace(sewn, seam=sewn.seam + 1), points(0, 0, 0, 1, 1, 1), behind)
 
 
 def two_points_of_a_joined_through_b() -> tuple[tuple[Seam, ...], SewnPoints]:
