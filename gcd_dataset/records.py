@@ -8,7 +8,7 @@ A record holds read-only views of its arrays; records compare by value.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum, StrEnum
-from math import cos, sin
+from math import cos, nan, sin
 from typing import Any, TypeVar
 
 import numpy as np
@@ -27,12 +27,14 @@ __all__ = [
     "BoxMesh",
     "Closure",
     "Drape",
+    "Ease",
     "Edge",
     "EdgeRef",
     "EdgeRole",
     "Fit",
     "FitLabel",
     "Grade",
+    "Maps",
     "Measurements",
     "NamedFabric",
     "Outcome",
@@ -458,6 +460,45 @@ class Drape(Record):
     """Where a garment lies that slid off or fell, with heights [cm], or why it was refused; not stored in data sets."""
 
 
+GIRTHS = (
+    "neck", "bust", "underbust", "waist", "hips", "thigh", "knee", "calf", "upper_arm", "elbow", "wrist",
+)  # fmt: skip
+LENGTHS = ("back", "sleeve", "outseam", "inseam")
+EASE = (*GIRTHS, *LENGTHS)
+"""The girths and lengths of ``Sample.ease``."""
+
+
+@dataclass(frozen=True)
+class Ease:
+    """A girth or length of a garment and of its wearer [cm]; NaN: no cloth goes round, or a measure is missing."""
+
+    cloth: float = nan
+    """As cut: along the panels, at the place where the pattern has it."""
+    body: float = nan
+    worn: float = nan
+    """As worn: along the panels, without stretch, at the place where the draped garment has it. NaN for lengths."""
+
+    @property
+    def ease(self) -> float:
+        """Cloth as cut beyond the body; below 0 the cloth must stretch."""
+        return self.cloth - self.body
+
+
+@dataclass(frozen=True, eq=False)
+class Maps(Record):
+    """Figures of a drape by vertex; NaN for a diverged one. Shards store them as float16."""
+
+    stretch: Float[np.ndarray, "v 2"]
+    """Largest and smallest principal stretch, mean over the faces of the vertex by area; 1 is unstretched."""
+    gap: Float[np.ndarray, " v"]
+    """Signed distance to the nearest point of the skin [cm], negative inside."""
+    pressure: Float[np.ndarray, " v"]
+    """Pressure on the skin of the fabric's own tension and weight [kPa]; 0 off the skin."""
+    softened: float
+    """Stiffness of the fabric over that in the drape, see ``Fabric.softened``: where cloth hangs by its weight instead
+    of being held by the body, the pressure is too high by up to this factor. 1: not at all."""
+
+
 # -------------------------------------------------------------------------------------------------------------- sample
 
 
@@ -568,6 +609,8 @@ class Sample(Record):
     shape: BodyShape | None = None
     box_mesh: BoxMesh | None = None
     drape: Drape | None = None
+    maps: Maps | None = None
+    """``None`` unless the recipe asks for them."""
     points: Float[np.ndarray, "n 6"] | None = None
     """Surface points and normals [cm, 1]."""
     front: bytes | None = None
@@ -582,6 +625,8 @@ class Sample(Record):
 
     The design decides them: ``levels-skirt.level_ruffle`` is the ratio of each seam between two levels.
     """
+    ease: Mapping[str, Ease] = field(default_factory=dict)
+    """Girths and lengths of cloth and wearer, by the names in ``EASE``; empty unless the recipe asks for them."""
     tags: tuple[str, ...] = ()
     """The tailor's names for the style, words of ``gcd_dataset.generator.garments.TAGS``; empty if unknown."""
     caption: str | None = None

@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_body
     from gcd_dataset.generator.body.by_name import make_person
     from gcd_dataset.generator.body.sizes import SizeChart, read_chart
-    from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch, fabric_named
+    from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch, fabric_named, maps_of
+    from gcd_dataset.generator.ease import ease_of
     from gcd_dataset.generator.garments import GarmentDesign, read_design, sample_design
     from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
     from gcd_dataset.generator.maker import make, produce
@@ -34,12 +35,14 @@ __all__ = [
     "drape_all",
     "drape_batch",
     "draw_shape",
+    "ease_of",
     "fabric_named",
     "fit",
     "fit_shape",
     "grade",
     "make",
     "make_person",
+    "maps_of",
     "measure",
     "named_body",
     "produce",

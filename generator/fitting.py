@@ -1,7 +1,9 @@
 """Fittings: patterns read from files and draped on a body, written as pictures, mesh files and a report."""
 
+import io
 import json
 import logging
+import math
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -17,19 +19,20 @@ from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError, SpecError
 from gcd_dataset.faults import Severity, require_valid
 from gcd_dataset.files import make_folder, safe_name, write_whole
-from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
+from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, maps_of
 from gcd_dataset.generator.drapers import DrapeReply
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.dressing import Dressing, dress, has_legs
+from gcd_dataset.generator.ease import ease_of
 from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, Reject, check_design, read_design
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.pipeline import build_pattern
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.generator.sized import Cut, lifted
 from gcd_dataset.generator.svg import nest_svg, pattern_svg
-from gcd_dataset.records import Body, BoxMesh, Drape, Fit, Measurements, Outcome, Pattern
+from gcd_dataset.records import Body, BoxMesh, Drape, Ease, Fit, Maps, Measurements, Outcome, Pattern
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
 
@@ -49,13 +52,16 @@ class Fitting:
     """One sentence for each value that the file lacks: the assumed value and the reason."""
     box_mesh: BoxMesh
     drape: Drape
+    ease: Mapping[str, Ease]
+    """See ``ease_of``."""
     mesh_seconds: float
     drape_seconds: float
     """Time of its batch, divided by the number of garments in it."""
+    maps: Maps | None = None
 
     @property
     def row(self) -> dict[str, Any]:
-        """The entry of a report: number of vertices, outcome, frames, crossings, stretch and times."""
+        """The entry of a report: number of vertices, outcome, frames, crossings, stretch, times and ease."""
         return {
             "pattern": self.pattern.name,
             "vertices": len(self.box_mesh.vertices),
@@ -69,7 +75,19 @@ class Fitting:
             "stretch_p99": round(self.drape.stretch_p99, 4),
             "mesh_seconds": round(self.mesh_seconds, 3),
             "drape_seconds": round(self.drape_seconds, 3),
+            "ease": {
+                name: {key: x if math.isfinite(x) else None for key, x in asdict(ease).items()}
+                for name, ease in self.ease.items()
+            },
         }
+
+    def ease_lines(self) -> Iterator[str]:
+        """A table of the girths and lengths that the garment has [cm]."""
+        yield f"{'[cm]':10}{'cloth':>8}{'body':>8}{'ease':>8}{'worn':>8}"
+        for name, ease in self.ease.items():
+            columns = (ease.cloth, ease.body, ease.ease, ease.worn)
+            if math.isfinite(ease.cloth) or math.isfinite(ease.worn):
+                yield f"{name:10}" + "".join(f"{x:8.1f}" if math.isfinite(x) else f"{'':8}" for x in columns)
 
 
 @dataclass(frozen=True)
@@ -184,22 +202,28 @@ def drape_patterns(
     fabric: Fabric = FABRICS[DEFAULT_FABRIC],
     resolution: float = 1.0,
     device: str = "auto",
+    maps: bool = False,
 ) -> Iterator[Fitting | Refusal]:
     """Drape each pattern on a body, in batches as large as suits the device; yields the fittings in order.
 
     ``wearer(legs_apart)`` returns the body and its measures; legs are apart for garments with legs, so that the thighs
     do not touch. Values missing from a file are assumed (see ``dress``), logged and recorded in the ``Fitting``.
-    ``resolution`` is the length of mesh edges [cm]. A pattern that cannot be placed or meshed costs no other: it yields
-    a ``Refusal``, as do those of ``read_patterns``. Raises ``BodyError`` for an unusable body, ``ConfigError`` for a
-    missing device.
+    ``resolution`` is the length of mesh edges [cm]; ``maps``: compute ``Fitting.maps``. A pattern that cannot be placed
+    or meshed costs no other: it yields a ``Refusal``, as do those of ``read_patterns``. Raises ``BodyError`` for an
+    unusable body, ``ConfigError`` for a missing device.
     """
-    work = (_work(pattern, wearer, fabric, resolution) for pattern in patterns)
+    work = (_work(pattern, wearer, fabric, resolution, maps=maps) for pattern in patterns)
     with LocalDraper(device) as draper:
         yield from in_order(work, draper, ahead=draper.at_once, at_once=draper.at_once)
 
 
 def _work(
-    pattern: Pattern | Refusal, wearer: Callable[[bool], tuple[Body, Measurements]], fabric: Fabric, resolution: float
+    pattern: Pattern | Refusal,
+    wearer: Callable[[bool], tuple[Body, Measurements]],
+    fabric: Fabric,
+    resolution: float,
+    *,
+    maps: bool,
 ) -> DrapeWork[Fitting | Refusal]:
     """The drape job of a pattern, and the function that makes a ``Fitting`` of the reply; without a job a refusal."""
     if isinstance(pattern, Refusal):
@@ -217,7 +241,9 @@ def _work(
 
     def finish(replies: Sequence[DrapeReply]) -> Fitting:
         [reply] = replies
-        return Fitting(dressing.pattern, body, dressing.assumed, mesh, reply.drape, seconds, reply.seconds)
+        ease = ease_of(dressing.pattern, mesh, body, size, reply.drape.vertices)
+        found = maps_of(job, reply.drape) if maps else None
+        return Fitting(dressing.pattern, body, dressing.assumed, mesh, reply.drape, ease, seconds, reply.seconds, found)
 
     return DrapeWork([job], finish)
 
@@ -239,7 +265,8 @@ def _dress(
 def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: str = "auto") -> None:
     """Write pictures of a fitting to ``folder``, and unless it diverged OBJ with MTL, PLY, and GLB if ``glb``.
 
-    GLB includes the body; see ``gcd_dataset.exports``. Raises ``OutputError``.
+    GLB includes the body; see ``gcd_dataset.exports``. Maps, if it has them, become an NPZ file with the fields of
+    ``Maps``, in the order of the PLY's vertices. Raises ``OutputError``.
     """
     from gcd_dataset import exports
 
@@ -248,6 +275,11 @@ def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: 
     front, back = render_garment(vertices, mesh, fitting.body, size=PICTURE_SIZE, device=device)
     for side, picture in {"front": front, "back": back, "pattern": draw_pattern(fitting.pattern)}.items():
         write_whole(folder / f"{name}_{side}.png", png_bytes(picture))
+    if fitting.maps is not None:
+        content, maps = io.BytesIO(), fitting.maps
+        stretch, gap, pressure = (value.astype(np.float32) for value in (maps.stretch, maps.gap, maps.pressure))
+        np.savez(content, stretch=stretch, gap=gap, pressure=pressure, softened=np.float32(maps.softened))
+        write_whole(folder / f"{name}_maps.npz", content.getvalue())
     if np.isfinite(vertices).all():
         exports.obj(fitting, folder / f"{name}.obj", body=False)
         exports.ply(fitting, folder / f"{name}.ply")

@@ -21,6 +21,7 @@ from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.body.sizes import SizeChart
 from gcd_dataset.generator.captions import captions_text
 from gcd_dataset.generator.drawing import jpeg_bytes
+from gcd_dataset.generator.ease import ease_of
 from gcd_dataset.generator.garments import GarmentDesign, Reject, attempted_design, design_to_dict, garment_tags, try_on
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.quality import grade_of, sample_surface, strain_of
@@ -33,6 +34,7 @@ from gcd_dataset.records import (
     BodyShape,
     BoxMesh,
     Drape,
+    Ease,
     Fit,
     FitLabel,
     Measurements,
@@ -378,6 +380,15 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         drape = replace(reply.drape, strain=strain)
     if config.captions:
         caption = captions_text(dressed.cut_for, design.design, dressed.pattern, seed=design.seed, index=index)
+    maps, ease = None, dict[str, Ease]()
+    if config.maps and mesh is not None and drape is not None:
+        from gcd_dataset.generator.drape import DrapeJob, maps_of
+
+        fabric = sample_fabric(design.seed, index, config.fabric)
+        maps = maps_of(DrapeJob(mesh, dressed.body, dressed.size, fabric), drape)
+    if config.ease and mesh is not None:
+        worn = None if drape is None or dressed.obstacle else drape.vertices
+        ease = ease_of(dressed.pattern, mesh, dressed.body, dressed.size, worn)
     front, back = (None, None) if reply is None or reply.pictures is None else map(jpeg_bytes, reply.pictures)
     return Sample(
         key=sample_key(index),
@@ -398,11 +409,13 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         shape=dressed.shape,
         box_mesh=mesh,
         drape=drape,
+        maps=maps,
         points=points,
         front=front,
         back=back,
         views=views,
         gathers=dressed.pattern.gather_ratios(),
+        ease=ease,
         tags=garment_tags(dressed.cut_for, design.design, dressed.pattern),
         fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),

@@ -28,7 +28,7 @@ USUAL_FABRIC = "default"
 NO_MISFIT = "0:0"
 STEPS = re.compile(r"([+-]?\d{1,3}):([+-]?\d{1,3})")
 LATER = {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0, "captions": False, "views": 0}
-LATER |= {"sizes": "", "misfit": NO_MISFIT}
+LATER |= {"ease": False, "maps": False, "sizes": "", "misfit": NO_MISFIT}
 """Options that a recipe omits at these values, so that the hash of recipes older than they are stays the same."""
 FINEST, COARSEST = 0.2, 10.0  # cm
 LIMITS = {
@@ -101,6 +101,12 @@ class MakeConfig:
     captions: Annotated[
         bool, Option("describe each garment in English at three levels of detail, in the member caption.txt")
     ] = False
+    ease: Annotated[
+        bool, Option("measure girths and lengths of cloth and wearer, as cut and as worn, for fit in meta.json")
+    ] = False
+    maps: Annotated[
+        bool, Option("stretch, gap to the skin and pressure on it, for each vertex, in the member maps.z")
+    ] = False
     views: Annotated[
         int,
         Option("pictures of each garment from drawn cameras, in drawn cloth, light and place, besides front and back"),
@@ -152,6 +158,10 @@ class MakeConfig:
             raise ConfigError(f"misfit is {self.misfit!r}: give two whole numbers, the smaller first, such as -3:3")
         if self.views and self.stage != "drape":
             raise ConfigError(f"views is {self.views}, but stage {self.stage} drapes nothing: give stage drape, or 0")
+        if self.maps and self.stage != "drape":
+            raise ConfigError(f"maps are of a drape, and stage {self.stage} drapes nothing: give stage drape")
+        if self.ease and self.stage == "pattern":
+            raise ConfigError("ease is measured on the mesh, and stage pattern makes none: give stage mesh or drape")
 
     @property
     def wearers(self) -> int:
@@ -179,6 +189,8 @@ class MakeOptions(TypedDict, total=False):
     max_attempts: int
     fabric: str
     captions: bool
+    ease: bool
+    maps: bool
     views: int
     view_size: int
     sizes: str
@@ -211,7 +223,7 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
 def layout_of_samples(config: MakeConfig) -> Layout:
     """The members of a sample of this config."""
     sides = config.stage == "drape" and config.picture > 0
-    return garments_layout(caption=config.captions, views=config.views, sides=sides)
+    return garments_layout(caption=config.captions, maps=config.maps, views=config.views, sides=sides)
 
 
 def device_kind(config: MakeConfig) -> str:

@@ -60,7 +60,7 @@ def picture_seed(seed: int, *, data_seed: int, recipe: Mapping[str, Any]) -> int
     return int.from_bytes(hashlib.sha256(identity.encode()).digest()[:7], "little")
 
 
-SIDE_OPTIONS = ("captions", "device", "picture", "points", "view_size", "views")
+SIDE_OPTIONS = ("captions", "device", "ease", "maps", "picture", "points", "view_size", "views")
 """Options of a recipe that decide what is stored beside the garments, or on which kind of device they are made."""
 
 

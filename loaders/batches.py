@@ -23,7 +23,7 @@ from gcd_dataset.tensors import EdgeColumn, StitchColumn
 
 RAGGED = (
     "panels", "edges", "stitches", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box", "verts",
-    "panel_corners", "panel_corner_pixels", "panel_corner_visible",
+    "stretch", "gap", "pressure", "panel_corners", "panel_corner_pixels", "panel_corner_visible",
 )  # fmt: skip
 """Fields with a different number of rows in each garment."""
 

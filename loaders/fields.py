@@ -55,6 +55,12 @@ class GarmentFields(TypedDict, total=False):
     """Positions at rest [cm]."""
     points: Float[Tensor, "n 6"]
     """Points of the surface [cm], and normals."""
+    stretch: Float[Tensor, "v 2"]
+    """Largest and smallest principal stretch; this field and the next two are in recipes with ``maps``."""
+    gap: Float[Tensor, " v"]
+    """Signed distance to the skin [cm]."""
+    pressure: Float[Tensor, " v"]
+    """On the skin [kPa], see ``gcd_dataset.records.Maps``."""
     front: UInt8[Tensor, "3 h w"]
     back: UInt8[Tensor, "3 h w"]
     views: UInt8[Tensor, "n h w 3"]

@@ -258,7 +258,7 @@ def test_file_names_of_gcd_drape_are_safe(victims: Path, monkeypatch: pytest.Mon
     assert sample.drape is not None
     monkeypatch.setattr(fitting, "render_garment", lambda *_, **__: 2 * (np.zeros((8, 8, 3), np.uint8),))
     monkeypatch.setattr(fitting, "draw_pattern", lambda _: np.zeros((8, 8, 3), np.uint8))
-    made = Fitting(replace(sample.pattern, name=name), None, (), sample.box_mesh, sample.drape, 0.0, 0.0)  # type: ignore[arg-type]
+    made = Fitting(replace(sample.pattern, name=name), None, (), sample.box_mesh, sample.drape, {}, 0.0, 0.0)  # type: ignore[arg-type]
     write_fitting(made, victims / "out")
     files = [path for path in (victims / "out").iterdir() if path.is_file()]
     assert len(files) == len(list((victims / "out").rglob("*"))) == 6  # OBJ, MTL, PLY, three pictures

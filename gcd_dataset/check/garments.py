@@ -116,7 +116,11 @@ def garment_faults(garment: CheckedGarment) -> Iterator[Fault]:
 
 def _drape_faults(meta: Mapping[str, Any]) -> Iterator[str]:
     drape = meta.get("drape")
-    if drape is not None and "fit" in meta and drape["outcome"] in {outcome.name for outcome in MISFITS}:
+    if (
+        drape is not None
+        and "chart" in meta.get("fit", {})
+        and drape["outcome"] in {outcome.name for outcome in MISFITS}
+    ):
         return
     if drape is not None and drape["outcome"] != Outcome.SETTLED.name:
         yield f"outcome {drape['outcome']}"

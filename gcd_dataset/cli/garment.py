@@ -77,6 +77,9 @@ def _add_draping(drape: Parser) -> None:
         "--glb", action="store_true", help="also the garment on its body as GLB, as gcd export writes it"
     )
     drape.add_argument(
+        "--maps", action="store_true", help="also stretch, gap to the skin and pressure on it, by vertex, as NPZ"
+    )
+    drape.add_argument(
         "--allow-unsettled",
         action="store_true",
         help="exit 0 even if a garment did not settle: fell, slid off, still moves, crosses itself or the body "
@@ -137,7 +140,7 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
     fittings: list[Fitting | Refusal] = []
     log_drape_time(len(options.spec), device, resolution)
     try:
-        done = drape_patterns(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
+        done = drape_patterns(patterns, wearer, fabric=fabric, resolution=resolution, device=device, maps=options.maps)
         for fitting in tqdm(done, total=len(options.spec), unit="garment", disable=options.quiet):
             if isinstance(fitting, Fitting):
                 write_fitting(fitting, folder, glb=options.glb, device=device)
@@ -163,6 +166,8 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
         if drape.outcome is not Outcome.SETTLED:
             print(f"  {drape.reason}{': ' if drape.reason else ''}{drape.outcome.value}")
             failed = failed or not options.allow_unsettled
+        if options.verb == "fit":
+            print(*(f"  {line}" for line in fitting.ease_lines()), sep="\n")
     print(f"{folder}: meshes, pictures and report.json")
     return int(failed)
 

@@ -40,6 +40,9 @@ FIELD_DESCRIPTIONS: Mapping[str, str] = {
     "box": "vertex positions before sewing [cm]",
     "verts": "vertex positions at rest on the body [cm]",
     "points": "surface points [cm] and unit normals",
+    "stretch": "largest and smallest principal stretch at each vertex",
+    "gap": "signed distance of each vertex from the skin [cm]",
+    "pressure": "pressure of each vertex on the skin [kPa]",
     "front": "picture from the front",
     "back": "picture from behind",
 }

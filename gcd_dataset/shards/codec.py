@@ -15,6 +15,7 @@ import io
 import math
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import astuple
 from dataclasses import fields as dataclass_fields
 from typing import TYPE_CHECKING, Any, overload
 
@@ -31,9 +32,11 @@ from gcd_dataset.records import (
     BodyShape,
     BoxMesh,
     Drape,
+    Ease,
     Fit,
     FitLabel,
     Grade,
+    Maps,
     Measurements,
     NamedFabric,
     Outcome,
@@ -50,6 +53,7 @@ from gcd_dataset.shards.layout import (
     CAPTION,
     JOINT,
     LARGEST_SAMPLE,
+    MAPS,
     MEMBERS,
     MOST_PIXELS,
     MOST_VIEWS,
@@ -66,6 +70,7 @@ from gcd_dataset.shards.meta import (
     COUNTS,
     NO_DRAPE,
     NO_FABRIC,
+    NO_LENGTH,
     NO_POSE,
     NO_REDRAW,
     NO_REJECT,
@@ -101,7 +106,7 @@ IDS = frozenset({"faces", "panel_id", "labels", "seams", "corners", "uv_vertex",
 WIDTHS: Mapping[str, tuple[int, ...]] = {
     "panels": (len(PanelColumn),), "edges": (len(EdgeColumn),), "stitches": (len(StitchColumn),), "body": (),
     "faces": (3,), "uv": (2,), "panel_id": (), "labels": (2,), "seams": (2,), "corners": (3,), "uv_vertex": (),
-    "box": (3,), "verts": (3,), "points": (6,),
+    "box": (3,), "verts": (3,), "points": (6,), "stretch": (2,), "gap": (), "pressure": (),
 }  # fmt: skip
 """Field to the shape of one row of its array."""
 
@@ -205,7 +210,13 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
         "mesh.z": pack(_mesh_arrays(mesh or NO_MESH, tensor), MESH_CODINGS),
         "verts.z": pack({"verts": vertices}, {"verts": POSITION}),
         "points.z": _points(sample.points),
+        **({} if sample.maps is None else {MAPS: pack({f: _half(getattr(sample.maps, f)) for f in ARRAYS[MAPS]})}),
     }
+
+
+@np.errstate(over="ignore")
+def _half(values: np.ndarray) -> np.ndarray:
+    return values.astype(np.float16)
 
 
 def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
@@ -283,6 +294,12 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
     strain = None if drape is None else drape.strain
     texts = [text.partition(": ") for text in provenance.rejects]
     rejects = provenance.turned_down or [Rejected(provenance.index, rule, reason) for rule, _, reason in texts]
+    fit = {} if sample.fit is None else fit_entry(sample.fit)
+    if sample.ease:
+        fit["ease"] = {
+            name: [length if math.isfinite(length) else NO_LENGTH for length in astuple(ease)]
+            for name, ease in sample.ease.items()
+        }
     figures = dict(NO_DRAPE)
     if drape is not None:
         figures |= {"outcome": drape.outcome.name, "frames": drape.frames}
@@ -319,9 +336,10 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         if fabric is None
         else {"name": fabric.name, "parameters": json_text(dict(fabric.parameters))},
         "gathers": list(map(float, sample.gathers)) or [-1.0],
+        **({"fit": fit} if fit else {}),
+        **({} if sample.maps is None else {"softened": float(sample.maps.softened)}),
         "tags": list(sample.tags) or [""],
         "source": provenance.source,
-        **({} if sample.fit is None else {"fit": fit_entry(sample.fit)}),
     }
 
 
@@ -399,6 +417,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
     pictures = {field: bytes(members[member]) for field, member in member_in.items() if member.endswith(".jpg")}
     field = decode_fields(members, [name for name in member_in if name not in pictures])
     meta = field["meta"]
+    fit = meta.get("fit", {})
     pattern = pattern_from_spec(field["spec"], meta["pattern"], source=meta["key"])
     try:
         return Sample(
@@ -410,14 +429,21 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             shape=None if meta["pose"] is None else BodyShape(field["body"].astype(float), **meta["pose"]),
             box_mesh=None if meta["vertex_labels"] is None else _mesh(field, pattern),
             drape=None if meta["drape"] is None else _drape(field),
+            maps=Maps(**{f: field[f].astype(float) for f in ARRAYS[MAPS]}, softened=meta["softened"])
+            if "gap" in field
+            else None,
             points=field["points"].astype(float) if len(field["points"]) else None,
             grade=Grade(meta["grade"]) if meta["grade"] else None,
             fabric=None if meta["fabric"] is None else NamedFabric(**meta["fabric"]),
             gathers=tuple(meta["gathers"]),
+            ease={
+                name: Ease(**{key: value for key, value in figures.items() if value is not None})
+                for name, figures in fit.get("ease", {}).items()
+            },
             tags=tuple(meta["tags"]),
             caption=field.get("caption"),
             views=_views(pictures, field),
-            fit=_fit(meta["fit"]) if "fit" in meta else None,
+            fit=_fit(fit) if "chart" in fit else None,
             **{name: pictures[name] for name in ("front", "back") if pictures.get(name, NO_PICTURE) != NO_PICTURE},
         )
     except (KeyError, ValueError, TypeError) as error:
@@ -448,7 +474,8 @@ def decode_field(field: str, members: Mapping[str, Bytes]) -> Any:
 def _decoded(members: Mapping[str, Bytes], fields: Sequence[str]) -> dict[str, Any]:
     arrays: dict[str, np.ndarray] = {}
     sections = {section for field in fields for section in SECTIONS.get(field, ())}
-    for member in members_of([field for field in fields if field in SECTIONS]):
+    stored = {field: member_of(field) for field in fields if field in SECTIONS}
+    for member in members_of(stored, stored):
         with _reading(member):
             arrays |= unpack(members[member], sections)
     found = {}
@@ -478,7 +505,7 @@ def _array(field: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
         elif section not in arrays and section != field:
             raise ShardError(f"section {section} is missing")
     if field in arrays:
-        return arrays[field]
+        return arrays[field].astype(np.float32) if field in ARRAYS[MAPS] else arrays[field]
     if derive is None:
         raise ShardError(f"section {field} is missing")
     return derive(arrays)
@@ -679,7 +706,8 @@ def _drape(field: Mapping[str, Any]) -> Drape:
 
 
 def _fit(entry: Mapping[str, Any]) -> Fit:
-    return Fit(**{**entry, "labels": tuple(FitLabel(**label) for label in entry["labels"])})
+    sizes = {name: value for name, value in entry.items() if name != "ease"}
+    return Fit(**sizes | {"labels": tuple(FitLabel(**label) for label in entry["labels"])})
 
 
 def _views(pictures: Mapping[str, bytes], field: Mapping[str, Any]) -> tuple[StoredView, ...]:

@@ -24,7 +24,7 @@ from gcd_dataset.shards.layout import MOST_VIEWS, SCHEMA, Bytes, fields_of, garm
 from gcd_dataset.shards.reader import ShardReader
 
 FORMAT = "gcd_dataset garments"
-MEMBER_OF = fields_of(garments_layout(caption=True, views=MOST_VIEWS).members)
+MEMBER_OF = fields_of(garments_layout(caption=True, maps=True, views=MOST_VIEWS).members)
 """Field to member, of all fields that a file may hold."""
 
 

@@ -41,7 +41,7 @@ META = MEMBERS[0]
 TRAIN, FAILED = "train", "failed"
 """The default split, and the split of failed drapes."""
 
-CAPTION = "caption.txt"
+CAPTION, MAPS = "caption.txt", "maps.z"
 MOST_VIEWS = 100
 VIEW = re.compile(r"view_(0|[1-9]\d?)\.(jpg|json)")
 
@@ -53,6 +53,7 @@ ARRAYS: Mapping[str, tuple[str, ...]] = {
     "mesh.z": ("faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box"),
     "verts.z": ("verts",),
     "points.z": ("points",),
+    MAPS: ("stretch", "gap", "pressure"),
 }
 """Member to the arrays in it."""
 
@@ -75,16 +76,17 @@ class Layout:
         return replace(self, members=tuple(members))
 
 
-def garments_layout(*, caption: bool = False, views: int = 0, sides: bool = True) -> Layout:
-    """The layout of garments; with a caption, a number of views, or both ``sides`` as pictures in every sample.
+def garments_layout(*, caption: bool = False, maps: bool = False, views: int = 0, sides: bool = True) -> Layout:
+    """The layout of garments; with a caption, maps, a number of views, or both ``sides`` as pictures in every sample.
 
     >>> garments_layout(caption=True, views=1).members[4:6], garments_layout(views=1).members[-3:]
     (('caption.txt', 'pattern.z'), ('back.jpg', 'view_0.jpg', 'view_0.json'))
     """
-    first_array = MEMBERS.index("pattern.z")
+    first_array, first_picture = MEMBERS.index("pattern.z"), MEMBERS.index("front.jpg")
     pictures = [f"view_{number}.{ending}" for number in range(views) for ending in ("jpg", "json")]
-    arrays = [member for member in MEMBERS[first_array:] if sides or not is_picture(member)]
-    members = (*MEMBERS[:first_array], *([CAPTION] if caption else []), *arrays, *pictures)
+    texts = (*MEMBERS[:first_array], *([CAPTION] if caption else []))
+    arrays = (*MEMBERS[first_array:first_picture], *([MAPS] if maps else []))
+    members = (*texts, *arrays, *(MEMBERS[first_picture:] if sides else []), *pictures)
     return Layout("garments", members, "GarmentDataset")
 
 
@@ -153,6 +155,8 @@ def member_of(field: str) -> str:
     """The member of a field; ``view_0_json`` is in ``view_0.json``."""
     if field in FIELDS:
         return FIELDS[field]
+    if field in ARRAYS[MAPS]:
+        return MAPS
     return CAPTION if field == "caption" else f"{field.removesuffix('_json')}.{'json' if '_json' in field else 'jpg'}"
 
 

@@ -37,12 +37,16 @@ garments              JSON type  holds                                          
 ``grade``             text       ``clean``, ``paper`` or ``failed``  (*)                          ``""``
 ``fabric``            object     ``name`` (text), ``parameters`` (JSON text)                      ``""``, ``"{}"``
 ``gathers``           floats     left edge / right edge in length, for each seam  (*)             ``[-1.0]``
+``softened``          float      stiffness of the fabric over that in the drape, for
+                                 ``pressure``: ``records.Maps``; a key only of recipes with
+                                 ``maps``
 ``tags``              texts      names of the style: ``generator.garments.TAGS``  (*)             ``[""]``
 ``source``            text       publication that the garment comes from                          ``""``
-``fit``               object     only in data sets with sizes: ``chart``, ``cut_for``,            ``wearer_size`` ``""``
+``fit``               object     only of recipes with ``sizes``: ``chart``, ``cut_for``,          ``wearer_size`` ``""``
                                  ``wearer_size`` (texts), ``step`` (int), ``labels``, objects     for a body outside
-                                 with ``rule``, ``reason`` (texts), ``figures`` (JSON text)       of it; a label of
-                                                                                                  ``""``, ``"{}"``
+                                 with ``rule``, ``reason`` (texts), ``figures`` (JSON text);      of it; a label of
+                                 only with ``ease``: ``ease``, for each of ``records.EASE`` 3     ``""``, ``"{}"``;
+                                 floats [cm]: cloth as cut, body, cloth as worn                   -1.0
 ``crc32``             object     CRC-32 of every other member, ints
 ``crc32_before``      int        CRC-32 of the bytes of this file before this key
 ====================  =========  ===============================================================  =====================
@@ -62,7 +66,7 @@ from typing import Any
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.jsonfile import found, loads
-from gcd_dataset.records import Fit, FitLabel, Rejected
+from gcd_dataset.records import EASE, Fit, FitLabel, Rejected
 from gcd_dataset.shards.layout import LARGEST_JSON, META, SCHEMA, Bytes, key_of
 
 
@@ -87,6 +91,7 @@ NO_DRAPE: Mapping[str, Any] = {"outcome": "", "frames": 0} | dict.fromkeys(COUNT
 NO_STRAIN: Mapping[str, Any] = {"principal": [-1.0, -1.0], "panels": [[-1.0, -1.0]]}
 NO_FABRIC: Mapping[str, Any] = {"name": "", "parameters": "{}"}
 NO_LABEL: Mapping[str, Any] = {"rule": "", "reason": "", "figures": "{}"}
+NO_LENGTH = -1.0
 
 
 # ------------------------------------------------------------------------------------------------------------- writing
@@ -154,19 +159,19 @@ def read_meta(data: Bytes) -> dict[str, Any]:
     if meta.get("schema") != SCHEMA or isinstance(meta["schema"], bool):
         raise ShardError(f"of schema {found(meta.get('schema'))}, but this reader knows {SCHEMA}: update gcd_dataset")
     _require_seal(data)
-    forms = PERSON if "name" in meta else {**GARMENT, **({"fit": _FIT} if "fit" in meta else {})}
-    for name, form in forms.items():
+    forms = PERSON if "name" in meta else GARMENT
+    for name in forms:
         if name not in meta:
             raise ShardError(f"{name} is missing")
-        if not _has_form(meta[name], form):
+    for name, form in {**forms, **SOMETIMES}.items():
+        if name in meta and not _has_form(meta[name], form):
             raise ShardError(f"{name} is {found(meta[name])}")
     loaded = {name: value for name, value in meta.items() if name != SEAL}
     loaded |= {name: _parsed(meta[name]) for name in ("versions", "recipe")}
     if not all(isinstance(version, str) for version in loaded["versions"].values()):
         raise ShardError(f"versions is {found(loaded['versions'])}")
     if "fit" in meta:
-        labels = [label | {"figures": _parsed(label["figures"])} for label in meta["fit"]["labels"] if label["rule"]]
-        loaded["fit"] = meta["fit"] | {"labels": labels}
+        loaded["fit"] = _loaded_fit(meta["fit"])
     return loaded if forms is PERSON else loaded | _loaded(meta)
 
 
@@ -185,6 +190,19 @@ def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
         "gathers": [ratio for ratio in meta["gathers"] if ratio != -1.0],
         "tags": [word for word in meta["tags"] if word],
     }
+
+
+def _loaded_fit(fit: Mapping[str, Any]) -> dict[str, Any]:
+    loaded = dict(fit)
+    if "labels" in fit:
+        labels = (label for label in fit["labels"] if label["rule"])
+        loaded["labels"] = [label | {"figures": _parsed(label["figures"])} for label in labels]
+    if "ease" in fit:
+        loaded["ease"] = {
+            name: {key: None if x == NO_LENGTH else x for key, x in zip(("cloth", "body", "worn"), of, strict=True)}
+            for name, of in fit["ease"].items()
+        }
+    return loaded
 
 
 def _parsed(text: str) -> dict[str, Any]:
@@ -262,9 +280,19 @@ _ORIGIN: Mapping[str, Any] = {
 }
 PERSON: Mapping[str, Any] = {**_ORIGIN, "name": str, "arm_angle": _is_number}
 _PAIR = (_is_number, _is_number)
-_FIT: Mapping[str, Any] = {"chart": str, "cut_for": str, "wearer_size": str, "step": int} | {
+_SIZES: Mapping[str, Any] = {"chart": str, "cut_for": str, "wearer_size": str, "step": int} | {
     "labels": [{"rule": str, "reason": str, "figures": str}]
 }
+
+
+def _is_fit(fit: Any) -> bool:
+    """Whether a value is the ``fit`` of a recipe with ``sizes``, with ``ease`` or with both."""
+    if not isinstance(fit, dict) or not fit:
+        return False
+    ease = {"ease": dict.fromkeys(EASE, (_is_number, _is_number, _is_number))} if "ease" in fit else {}
+    return _has_form(fit, {**(_SIZES if fit.keys() - ease.keys() else {}), **ease})
+
+
 GARMENT: Mapping[str, Any] = {
     **_ORIGIN,
     "attempts": is_count,
@@ -287,3 +315,8 @@ GARMENT: Mapping[str, Any] = {
     "source": str,
 }
 """Key to the form of its value in the file."""
+SOMETIMES: Mapping[str, Any] = {
+    "fit": _is_fit,
+    "softened": _is_number,
+}
+"""The same of the keys that only some recipes have."""

@@ -37,7 +37,7 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.layout import LARGEST_SAMPLE
 
 HEAD = struct.Struct("<16sIH2sBBbxI")
-TYPES = frozenset({b"f8", b"f4", b"i8", b"i4", b"u4", b"u2", b"u1"})
+TYPES = frozenset({b"f8", b"f4", b"f2", b"i8", b"i4", b"u4", b"u2", b"u1"})
 ZSTANDARD = zstandard.ZstdCompressionParameters(
     strategy=zstandard.STRATEGY_DFAST, window_log=20, hash_log=14, chain_log=13, search_log=1, min_match=4,
     write_content_size=True, write_checksum=True,

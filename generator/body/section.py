@@ -15,17 +15,18 @@ CROSSED = np.array(
 DIRECTIONS = 48  # widths averaged for a rough girth; the tape at its best level is within 0.01 cm of the best
 
 
-def section(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], axis: int, level: float) -> np.ndarray:
-    """The section of the faces with the plane ``coordinate[axis] = level``: segments (s, 2, 3).
+def section(vertices: Float[np.ndarray, "v d"], faces: Int[np.ndarray, "f 3"], axis: int, level: float) -> np.ndarray:
+    """The section of the faces with the plane ``coordinate[axis] = level``: segments (s, 2, d).
 
-    Segments are directed consistently: the first points of a closed section are all of its points.
+    Segments are directed consistently: the first points of a closed section are all of its points. Columns beyond the
+    coordinates are interpolated.
     """
     above = (vertices[:, axis] > level).take(faces)
     a, b, c = above.T
     cut = np.flatnonzero((a != b) | (a != c))
     corners = faces[cut[:, None], CROSSED[above[cut] @ [1, 2, 4]]]
     crossing = _crossing(vertices, corners[:, :1].repeat(2), corners[:, 1:].ravel(), axis, level)
-    return crossing.reshape(-1, 2, 3)
+    return crossing.reshape(-1, 2, vertices.shape[1])
 
 
 def section_points(

@@ -14,6 +14,7 @@ from gcd_dataset.generator.drape.fabrics import (
     fabric_named,
 )
 from gcd_dataset.generator.drape.loading import kernels_compiled, log_drape_time, seconds_per_garment, seconds_to_drape
+from gcd_dataset.generator.drape.maps import maps_of
 
 __all__ = [
     "DEFAULT_FABRIC",
@@ -33,6 +34,7 @@ __all__ = [
     "kernels_compiled",
     "load_kernels",
     "log_drape_time",
+    "maps_of",
     "resolve_device",
     "seconds_per_garment",
     "seconds_to_drape",

@@ -244,6 +244,12 @@ def _skin(digest: bytes, body: Body) -> _SkinTopology:
         return _skins[digest]
 
 
+def closed_skin(body: Body) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, " 3g"]]:
+    """Vertices [cm] and flattened faces of the skin without internal faces, its openings closed."""
+    known = _skin(_digests(body)[0], body)
+    return known.skin.points(body.vertices), known.triangles
+
+
 def _edges_without_lids(skin: VisibleSkin) -> Int[np.ndarray, "e 2"]:
     """Edges between vertices of the body; each lid adds one vertex, numbered after the body's."""
     sides, _ = half_edges_of(skin.faces)

@@ -27,6 +27,7 @@ SMALLER = {
         "size=256, maps": "size=32, maps",
         "MakeConfig(resolution=2.0)": "MakeConfig(resolution=9.0)",
     },
+    "labels": {"resolution=3.0": "resolution=9.0"},
     "scans": {"points=4096": "points=512"},
     "sketches": {"size=512": "size=64"},
     "evaluate": {
@@ -70,7 +71,7 @@ for folder in ("PREDICTIONS", "TRUTH"):
 GUIDES = [
     *sorted(f"guides/{path.stem}" for path in (DOCS / "guides").glob("*.md") if path.stem != "index"),
     *sorted(f"concepts/{path.stem}" for path in (DOCS / "concepts").glob("*.md")),
-    *("index", "pictures", "scans", "sketches", "evaluate", "exports"),
+    *("index", "labels", "pictures", "scans", "sketches", "evaluate", "exports"),
 ]
 NEEDS_SERVERS = {"stores"}  # its commands need buckets; tests/extras/test_storage.py runs them against an S3 API
 OWN_TESTS = {"training", "viewer", "check", "reconstruction"}  # the commands of these pages are tested elsewhere

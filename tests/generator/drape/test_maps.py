@@ -1,0 +1,131 @@
+"""Maps of a drape: a stretched tube presses as Laplace says, cloth off the skin not at all, and gaps are distances."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from jaxtyping import Float
+
+from gcd_dataset.generator import make
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.drape import FABRICS, DrapeJob, Fabric, maps_of
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.records import NO_MESH, Body, BodyPart, BoxMesh, Drape, Maps, Measurements, Outcome
+from gcd_dataset.shards.codec import decode_fields, decode_sample, encode_sample
+
+AROUND, ALONG = 120, 24
+RADIUS = 12.0  # cm
+SETTLED = (Outcome.SETTLED, 0, 0, 0, 1.0, 1.0)
+
+
+def tube(hoop: float, *, along: float = 1.0, radius: float = RADIUS) -> tuple[BoxMesh, Float[np.ndarray, "v 3"]]:
+    """A tube of one panel, sewn to itself, and its vertices stretched by ``hoop`` to a radius [cm]."""
+    columns, rows = np.meshgrid(np.arange(AROUND + 1), np.arange(ALONG + 1), indexing="ij")
+    width = 2 * np.pi * radius / hoop / AROUND
+    uv = np.stack([columns.ravel() * width, rows.ravel() * width], axis=1)
+    number = np.arange(uv.shape[0]).reshape(columns.shape)
+    first, right, above, last = number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]
+    corners = np.concatenate(
+        [np.stack(each, axis=-1).reshape(-1, 3) for each in ((first, right, last), (first, last, above))]
+    )
+    vertex = (columns % AROUND * (ALONG + 1) + rows).ravel()
+    angle = 2 * np.pi * np.arange(AROUND) / AROUND
+    height = along * width * np.arange(ALONG + 1)
+    ring = np.stack([radius * np.sin(angle), 0 * angle, radius * np.cos(angle)], axis=1)
+    vertices = (ring[:, None] + height[None, :, None] * [0.0, 1.0, 0.0]).reshape(-1, 3)
+    mesh = BoxMesh(
+        vertices=vertices,
+        faces=vertex[corners],
+        uv=uv,
+        corners=corners,
+        uv_vertex=vertex,
+        panel_id=np.zeros(len(corners), int),
+        panel_names=("tube",),
+        panel_labels=("",),
+        seams=NO_MESH.seams,
+    )
+    return mesh, vertices
+
+
+def cylinder(radius: float, height: float) -> Body:
+    """A closed cylinder of many sides, from 20 cm below the floor to ``height``."""
+    angle = 2 * np.pi * np.arange(360) / 360
+    ring = np.stack([radius * np.sin(angle), 0 * angle, radius * np.cos(angle)], axis=1)
+    ends = [ring + [0.0, y, 0.0] for y in (-20.0, height)]
+    low, high = np.arange(360), 360 + np.arange(360)
+    right, above = np.roll(low, -1), np.roll(high, -1)
+    sides = [np.stack(each, axis=1) for each in ((low, right, above), (low, above, high))]
+    caps = [np.stack([720 + 0 * low, right, low], axis=1), np.stack([721 + 0 * low, high, above], axis=1)]
+    vertices = np.concatenate([*ends, [[0.0, -20.0, 0.0], [0.0, height, 0.0]]])
+    return Body(vertices, np.concatenate([*sides, *caps]), np.full(len(vertices), BodyPart.TRUNK.value, np.uint8))
+
+
+def worn_tube(fabric: Fabric, hoop: float, *, along: float, gap: float) -> Maps:
+    mesh, vertices = tube(hoop, along=along)
+    job = DrapeJob(mesh, cylinder(RADIUS - gap, 60.0), Measurements(), fabric)
+    return maps_of(job, Drape(vertices, *SETTLED))
+
+
+@pytest.mark.parametrize("along", [1.0, 0.9])
+@pytest.mark.parametrize("name", FABRICS)
+def test_a_stretched_tube_presses_with_its_tension_over_its_radius(name: str, along: float) -> None:
+    """Kept as long as it is, or let narrow: then its tension is the tensile stiffness times its strain."""
+    fabric, hoop = FABRICS[name], 1.1
+    found = worn_tube(fabric, hoop, along=along, gap=0.35).pressure.reshape(AROUND, ALONG + 1)[:, 2:-2]
+    tension = fabric.pull.weft * (hoop - 1.0) / (1 - 1 / 9 if along == 1.0 else 1.0)  # N/m; Poisson's ratio is 1/3
+    assert found == pytest.approx(tension / along / (0.01 * RADIUS) / 1000, rel=0.05)
+
+
+def test_cloth_off_the_skin_and_slack_cloth_press_nothing() -> None:
+    hanging = worn_tube(FABRICS["drill"], 1.1, along=1.0, gap=2.0)
+    assert not hanging.pressure.any()
+    assert worn_tube(FABRICS["drill"], 0.95, along=1.0, gap=0.35).pressure.max() < 0.01
+    assert hanging.gap == pytest.approx(2.0, abs=0.01)
+
+
+def test_cloth_lying_on_top_presses_with_its_weight() -> None:
+    """A level sheet of 0.2 kg/m²: 1.96 Pa."""
+    mesh, _ = tube(1.0)
+    flat = np.stack([mesh.uv[:, 0], 0 * mesh.uv[:, 0] + 60.35, mesh.uv[:, 1]], axis=1) * [1.0, 1.0, -1.0]
+    sheet = BoxMesh(**{**vars(mesh), "vertices": flat, "faces": mesh.corners, "uv_vertex": np.arange(len(flat))})
+    flat = flat - [40.0, 0.0, -8.0]
+    found = maps_of(DrapeJob(sheet, cylinder(100.0, 60.0), Measurements()), Drape(flat, *SETTLED))
+    assert found.gap == pytest.approx(0.35, abs=0.01)
+    assert found.pressure == pytest.approx(0.2 * 9.81 / 1000, rel=0.01)
+
+
+def test_stretches_are_those_of_the_tube() -> None:
+    found = worn_tube(FABRICS["default"], 1.2, along=0.9, gap=0.35)
+    assert found.stretch == pytest.approx(np.tile([1.2, 0.9], (len(found.stretch), 1)), rel=1e-3)
+    assert found.softened == 1.0
+    assert worn_tube(FABRICS["drill"], 1.2, along=0.9, gap=0.35).softened == pytest.approx(2030 / 110)
+
+
+def test_gaps_are_distances_from_the_skin() -> None:
+    body = build_body(neutral_shape())
+    trunk = np.flatnonzero(body.parts == BodyPart.TRUNK.value)[::50]
+    inside = body.vertices[trunk].mean(axis=0)
+    points = np.array([[0.0, 300.0, 0.0], inside, [50.0, 300.0, 0.0]])
+    mesh = BoxMesh(
+        **{**vars(tube(1.0)[0]), "vertices": points, "faces": np.array([[0, 1, 2]]), "corners": np.array([[0, 1, 2]])}
+    )
+    out, within, _ = maps_of(DrapeJob(mesh, body, measure(body)), Drape(points, *SETTLED)).gap
+    assert out == pytest.approx(300.0 - body.vertices[:, 1].max(), abs=0.2)
+    assert within < -3.0
+
+
+def test_maps_are_stored_as_a_member_and_read_as_fields() -> None:
+    config = MakeConfig(bodies="neutral", resolution=6.0, points=64, picture=0, device="cpu", on_fail="keep")
+    plain, made = make(7, 10, config), make(7, 10, replace(config, maps=True))
+    assert made.maps is not None
+    before, members = encode_sample(plain), encode_sample(made)
+    assert members.keys() - before.keys() == {"maps.z"}
+    assert all(members[name] == data for name, data in before.items() if name != "meta.json")
+    assert b"softened" not in before["meta.json"]
+    read = decode_sample(members).maps
+    assert read is not None
+    assert read.gap == pytest.approx(made.maps.gap, rel=1e-3)
+    fields = decode_fields(members, ["stretch", "gap", "pressure", "verts"])
+    count = len(fields["verts"])
+    assert [fields[name].shape for name in ("stretch", "gap", "pressure")] == [(count, 2), (count,), (count,)]
+    assert {fields[name].dtype for name in ("stretch", "gap", "pressure")} == {np.dtype(np.float32)}

@@ -1,0 +1,154 @@
+"""Ease: lengths of cloth do not depend on stretch, folds and gathers, and agree with the pattern."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from jaxtyping import Float
+
+from gcd_dataset.generator import make
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.body.by_name import named_body
+from gcd_dataset.generator.drape import DrapeJob, drape_batch
+from gcd_dataset.generator.ease import ease_of
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.generator.pattern import Component, Outline, Piece, assemble
+from gcd_dataset.generator.quality import principal_stretches
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.records import EASE, Body, BoxMesh, Ease, Measurements, Pattern
+from gcd_dataset.shards.codec import decode_sample, encode_sample
+from tests.generator.garments.measured import length, lengths
+
+BODIES = ("neutral", "male:2", "random:5")
+GARMENTS: Mapping[str, tuple[Mapping[str, Any], tuple[str, ...]]] = {
+    "T-shirt": ({"meta": {"upper": "Shirt", "bottom": None}}, ("underbust", "waist")),
+    "skirt": ({"meta": {"upper": None, "wb": None, "bottom": "PencilSkirt"}}, ("thigh",)),
+    "trousers": (
+        {"meta": {"upper": None, "wb": "StraightWB", "bottom": "Pants"}, "pants": {"length": 0.9, "width": 1.2}},
+        ("knee", "calf"),
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def neutral() -> tuple[Body, Measurements]:
+    body = build_body(neutral_shape())
+    return body, measure(body)
+
+
+def tube(*widths: float, height: float = 20.0, top: float = 118.0) -> tuple[Pattern, BoxMesh]:
+    """Tubes round the trunk, each sewn under the one before; ``widths``: of half their cloth [cm]."""
+    rows = []
+    for row, width in enumerate(widths):
+        outline = Outline.start(0, 0).line(width, 0, name="bottom").line(width, height, name="right")
+        outline = outline.line(0, height, name="top").close(name="left")
+        low = top - (row + 1) * height
+        rows.append([Piece(f"{side}_{row}", outline).at(-0.5 * width, low, z) for side, z in (("f", 25), ("b", -20))])
+    whole = Component.of(*(piece for row in rows for piece in row))
+    for front, back in rows:
+        whole = whole.sewn(front.along("right"), back.along("right")).sewn(front.along("left"), back.along("left"))
+    for above, below in pairwise(rows):
+        for upper, lower in zip(above, below, strict=True):
+            whole = whole.sewn(upper.along("bottom"), lower.along("top"), gathered=True)
+    pattern = assemble(whole, "tube")
+    return pattern, build_box_mesh(pattern, spacing=2.0)
+
+
+def rolled(mesh: BoxMesh, pattern: Pattern, radius: float, fold: float = 0.0) -> Float[np.ndarray, "v 3"]:
+    """The tubes round a cylinder about the trunk, in folds of depth ``fold`` [cm]."""
+    panel = np.zeros(len(mesh.uv), int)
+    panel[mesh.corners] = mesh.panel_id[:, None]
+    at = np.zeros((len(mesh.vertices), 3))
+    for row, each in enumerate(pattern.panels):
+        own = panel == row
+        u = mesh.uv[own, 0] / np.ptp(mesh.uv[own, 0])
+        angle = np.pi * (u if each.name.startswith("f") else 2.0 - u)
+        out = radius + fold * np.sin(24 * angle)
+        height = each.placement.apply(mesh.uv[own])[:, 1]
+        at[mesh.uv_vertex[own]] = np.stack([-out * np.cos(angle), height, out * np.sin(angle)], axis=1)
+    return at
+
+
+def test_cloth_round_the_body_has_its_own_girth(neutral: tuple[Body, Measurements]) -> None:
+    """Not that of the cylinder on which it lies, stretched, nor that of its folds."""
+    pattern, mesh = tube(50.0)
+    for vertices in (
+        rolled(mesh, pattern, 100 / (2 * np.pi)),
+        rolled(mesh, pattern, 20.0),
+        rolled(mesh, pattern, 15.0, 1.0),
+    ):
+        ease = ease_of(pattern, mesh, *neutral, vertices)["waist"]
+        assert [ease.cloth, ease.worn] == pytest.approx([100.0, 100.0], abs=0.02)
+        assert ease.body == pytest.approx(neutral[1].waist, abs=0.2)
+
+
+def test_a_tight_ring_is_as_long_as_its_cut_girth_times_its_stretch(neutral: tuple[Body, Measurements]) -> None:
+    pattern, mesh = tube(40.0)
+    vertices = rolled(mesh, pattern, 15.0)
+    stretch = float(np.median(principal_stretches(mesh, vertices)[:, 0]))
+    assert ease_of(pattern, mesh, *neutral, vertices)["waist"].cloth * stretch == pytest.approx(
+        2 * np.pi * 15, rel=0.01
+    )
+
+
+def test_gathers_count_by_the_shorter_side_of_the_seam(neutral: tuple[Body, Measurements]) -> None:
+    """The seam of a tube of 90 cm and one of 150 cm is 1 cm above the waist, then 4 cm above it."""
+    body, size = neutral
+    waist = 109.3
+    for above, girth in ((1.0, 90.0), (4.0, 150.0)):
+        pattern, mesh = tube(45.0, 75.0, top=waist + above + 20.0)
+        ease = ease_of(pattern, mesh, body, size, rolled(mesh, pattern, 18.0))["waist"]
+        assert [ease.cloth, ease.worn] == pytest.approx([girth, girth], abs=0.1)
+
+
+@pytest.mark.parametrize("garment", GARMENTS)
+def test_cloth_as_worn_is_as_wide_as_its_pattern(garment: str) -> None:
+    """Where it is at least 2 cm wider than the body; narrower cloth may hang higher or lower than it was drawn."""
+    design, levels = GARMENTS[garment]
+    worn = []
+    for name in BODIES:
+        body, size, _ = named_body(name, legs_apart=garment == "trousers")
+        pattern = draw_garment(size, design_from_dict(design))
+        worn.append((pattern, DrapeJob(build_box_mesh(pattern, spacing=2.0), body, size)))
+    for (pattern, job), drape in zip(worn, drape_batch([job for _, job in worn], device="cpu"), strict=True):
+        found = ease_of(pattern, job.box_mesh, job.body, job.measurements, drape.vertices)
+        for level in levels:
+            assert found[level].ease > 2.0
+            assert found[level].worn == pytest.approx(found[level].cloth, abs=0.5)
+        assert len(found) == len(EASE)
+
+
+def test_a_circle_skirt_widens_by_the_angle_that_it_is_cut_from(neutral: tuple[Body, Measurements]) -> None:
+    body, size = neutral
+    pattern = draw_garment(size, design_from_dict({"meta": {"upper": None, "wb": None, "bottom": "SkirtCircle"}}))
+    mesh = build_box_mesh(pattern, spacing=1.0)
+    found = ease_of(pattern, mesh, body, size)
+    depth = size.crotch_hip_diff + 2.0  # from the hips to the section of the thigh
+    inner, outer = (lengths(pattern, name) for name in ("top", "bottom"))
+    angle = (outer - inner) / length(pattern.panels[0], "left")
+    assert found["thigh"].cloth - found["hips"].cloth == pytest.approx(angle * depth, rel=0.02)
+
+
+def test_no_cloth_no_girth(neutral: tuple[Body, Measurements]) -> None:
+    pattern, mesh = tube(50.0)
+    found = ease_of(pattern, mesh, *neutral)
+    assert np.isnan([found["hips"].cloth, found["wrist"].cloth, found["waist"].worn, found["back"].cloth]).all()
+    assert found["wrist"].body == pytest.approx(neutral[1].wrist, abs=0.5)
+
+
+def test_ease_is_stored_where_the_recipe_asks_and_changes_nothing_else() -> None:
+    flat = MakeConfig(stage="mesh", resolution=5.0, points=64)
+    plain, made = make(3, 0, flat), make(3, 0, replace(flat, ease=True))
+    before, after = encode_sample(plain), encode_sample(made)
+    assert {name: data for name, data in after.items() if name != "meta.json"} == {
+        name: data for name, data in before.items() if name != "meta.json"
+    }
+    assert b'"fit"' not in before["meta.json"]
+    read = decode_sample(after).ease
+    assert list(read) == list(EASE)
+    assert all(str(read[name]) == str(made.ease[name]) for name in EASE)  # NaN differs from itself
+    assert any(isinstance(ease, Ease) and ease.cloth > 0 for ease in read.values())
