@@ -128,7 +128,9 @@ def test_threads_and_processes_share_a_download(hub: Hub, files: Files, tmp_path
 
 
 def answer(status: int, **headers: str) -> Fault:
-    return Fault("a.tar", 99, status=status, headers={name.replace("_", "-"): value for name, value in headers.items()})
+    return Fault(
+        "a.tar", 9999, status=status, headers={name.replace("_", "-"): value for name, value in headers.items()}
+    )
 
 
 def zipped(change: Callable[[bytes], bytes], times: int = 1) -> Fault:
