@@ -91,8 +91,8 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel: Path) -> None:
     }
     assert {name for name in files if name.endswith(".py")} == here
     assert "gcd_dataset/py.typed" in files
-    recipes = {path.name for path in (ROOT / "generator" / "recipes").glob("*.toml")}
-    assert {name.rpartition("/")[2] for name in files if name.endswith(".toml")} == recipes
+    tables = {path.name for path in (ROOT / "generator").rglob("*.toml")}
+    assert {name.rpartition("/")[2] for name in files if name.endswith(".toml")} == tables
     data = {path.name for path in (ROOT / "generator" / "data").iterdir() if path.is_file()}
     assert {name.rpartition("/")[2] for name in files if "/generator/data/" in name} == data
     assert not any("tests" in name.split("/") or "benchmarks" in name.split("/") for name in files)

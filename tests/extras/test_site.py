@@ -48,7 +48,7 @@ def test_every_page_is_built(site: Path) -> None:
 def test_files_outside_the_documents_are_pages(site: Path) -> None:
     assert 'id="words"' in (site / "project" / "architecture.html").read_text()
     assert (site / "reports" / "drapes.jpg").stat().st_size > 100_000
-    assert 'href="reports/drape_cpu.html"' in (site / "limits.html").read_text()
+    assert 'href="reports/drape_sampled.html"' in (site / "limits.html").read_text()
 
 
 def test_the_reference_documents_every_public_name_of_the_loaders(site: Path) -> None:
