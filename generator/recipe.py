@@ -210,9 +210,10 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
     recipe["design"] = config.design.to_dict()
     if not config.views:
         del recipe["view_size"]
-    if config.chart and config.sizes not in CHARTS:  # its content decides, wherever the file lies
+    if config.chart and config.sizes not in CHARTS:  # its name and content decide, wherever the file lies
         bodies = {size: body.to_file_values() for size, body in config.chart.bodies.items()}
-        recipe["sizes"] = recipe_hash({"bodies": bodies, "limits": dict(config.chart.limits)})
+        content = {"name": config.chart.name, "bodies": bodies, "limits": dict(config.chart.limits)}
+        recipe["sizes"] = recipe_hash(content)
     for name, usual in LATER.items():
         if recipe[name] == usual:
             del recipe[name]

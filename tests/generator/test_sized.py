@@ -151,8 +151,11 @@ def test_the_recipe_holds_the_content_of_a_chart_and_omits_defaults(tmp_path: Pa
     copy.write_bytes(Path(WOMEN.source).read_bytes())
     recipe = recipe_of(replace(SIZED, sizes=str(copy)))
     (tmp_path / "other").mkdir()
-    moved = copy.rename(tmp_path / "other" / "moved.toml")
-    assert recipe_of(replace(SIZED, sizes=str(moved))) == recipe
+    moved = replace(SIZED, sizes=str(copy.rename(tmp_path / "other" / "copy.toml")))
+    assert recipe_of(moved) == recipe
+    renamed = replace(SIZED, sizes=str(Path(moved.sizes).rename(tmp_path / "renamed.toml")))
+    assert make(4, 3, renamed) != make(4, 3, moved)  # fit.chart
+    assert recipe_of(renamed) != recipe
     assert recipe_of(SIZED)["sizes"] == "women"
 
 
