@@ -150,12 +150,14 @@ class MakeConfig:
                 raise ConfigError(f"{name} is {value if value < 10**15 else '10**15 or more'}: give {least} to {most}")
         if self.bodies == "neutral" and self.bodies_each > 1:
             raise ConfigError(f"bodies_each is {self.bodies_each}, but there is one neutral body: give 1")
+        if not (match := STEPS.fullmatch(self.misfit)) or int(match[1]) > int(match[2]):
+            raise ConfigError(f"misfit is {self.misfit!r}: give two whole numbers, the smaller first, such as -3:3")
+        # So that -3:3 and -3:+3 give one recipe.
+        object.__setattr__(self, "misfit", f"{int(match[1])}:{int(match[2])}")
         if self.sizes:
             object.__setattr__(self, "chart", read_chart(self.sizes))
         elif self.misfit != NO_MISFIT:
             raise ConfigError(f"misfit is {self.misfit}, but there is no size chart: give sizes, such as women")
-        if not (match := STEPS.fullmatch(self.misfit)) or int(match[1]) > int(match[2]):
-            raise ConfigError(f"misfit is {self.misfit!r}: give two whole numbers, the smaller first, such as -3:3")
         if self.views and self.stage != "drape":
             raise ConfigError(f"views is {self.views}, but stage {self.stage} drapes nothing: give stage drape, or 0")
         if self.maps and self.stage != "drape":

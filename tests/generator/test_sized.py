@@ -159,6 +159,11 @@ def test_the_recipe_holds_the_content_of_a_chart_and_omits_defaults(tmp_path: Pa
     assert recipe_of(SIZED)["sizes"] == "women"
 
 
+def test_steps_written_in_another_way_are_the_same_recipe() -> None:
+    assert recipe_of(replace(SIZED, misfit="-03:+3")) == recipe_of(SIZED)
+    assert "misfit" not in recipe_of(replace(SIZED, misfit="+0:-0"))
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
