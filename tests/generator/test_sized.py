@@ -201,6 +201,15 @@ def test_a_garment_that_cannot_be_put_on_is_stored_undraped_and_read_again(tmp_p
     assert encode_sample(decode_sample(encode_sample(sample))) == encode_sample(sample)
 
 
+def test_pictures_are_read_where_the_first_garment_cannot_be_put_on(tmp_path: Path) -> None:
+    obstacles = ((seed, [prepare(seed, n, MISFIT).dressed[0].obstacle for n in (0, 1)]) for seed in range(4, 30))
+    seed = next(seed for seed, (first, second) in obstacles if first and not second)
+    generate(tmp_path, 2, seed=seed, config=MISFIT, workers=0)
+    sizes = [item["front"].shape[-1] for item in GarmentDataset(tmp_path, fields=["front"])]
+    assert sizes == [0, MISFIT.picture]
+    assert "back" in GarmentDataset(tmp_path).fields
+
+
 def test_misfits_are_no_failed_drapes() -> None:
     design = next(design for number in range(9) if (design := prepare(3, number, TINY)).dressed[0].obstacle)
     assert drape_jobs(design, TINY) == ()
