@@ -10,7 +10,7 @@ import pytest
 from gcd_dataset import generate
 from gcd_dataset.check import checks
 from gcd_dataset.check.garments import CheckedGarment, garment_faults
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import BodyError, ConfigError
 from gcd_dataset.generator.body import build_body, measure
 from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.body.sizes import read_chart
@@ -22,7 +22,7 @@ from gcd_dataset.generator.garments.tightness import rings
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.pipeline import all_replies, build_pattern, drape_jobs, prepare, rejection
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
-from gcd_dataset.generator.sized import Cut, draw_cut, lifted
+from gcd_dataset.generator.sized import Cut, draw_cut, lifted, size_or_none
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.records import MISFITS, Fit, Measurements, Outcome
 from gcd_dataset.seeding import Stage, rng
@@ -39,7 +39,7 @@ DESIGNS = {"shirt": SHIRT, "dress": DRESS, "skirt": SKIRT, "trousers": TROUSERS}
 
 
 def fit_of(design: GarmentDesign, size: str, wearer: Measurements) -> Fit:
-    cut = Cut(WOMEN, size, WOMEN.size_of(wearer))
+    cut = Cut(WOMEN, size, size_or_none(WOMEN, wearer))
     return cut.fit(build_pattern(cut.measures, design), design, wearer)
 
 
@@ -93,6 +93,12 @@ def test_large_trousers_slide_off_and_a_long_dress_reaches_the_floor() -> None:
     short = replace(WOMEN.body("96"), height=70.0)
     found = cut.fit(build_pattern(cut.measures, DRESS), DRESS, short).labels
     assert "reaches_floor" in {label.rule for label in found}
+
+
+def test_a_wearer_without_a_measure_is_refused() -> None:
+    """A measure that is unsure on a mesh is NaN."""
+    with pytest.raises(BodyError, match="measures bust are missing"):
+        fit_of(SHIRT, "96", replace(WOMEN.body("96"), bust=np.nan))
 
 
 def test_a_garment_is_placed_by_the_wearers_nape_or_waist() -> None:
