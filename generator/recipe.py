@@ -150,12 +150,14 @@ class MakeConfig:
                 raise ConfigError(f"{name} is {value if value < 10**15 else '10**15 or more'}: give {least} to {most}")
         if self.bodies == "neutral" and self.bodies_each > 1:
             raise ConfigError(f"bodies_each is {self.bodies_each}, but there is one neutral body: give 1")
+        if not (match := STEPS.fullmatch(self.misfit)) or int(match[1]) > int(match[2]):
+            raise ConfigError(f"misfit is {self.misfit!r}: give two whole numbers, the smaller first, such as -3:3")
+        # So that -3:3 and -3:+3 give one recipe.
+        object.__setattr__(self, "misfit", f"{int(match[1])}:{int(match[2])}")
         if self.sizes:
             object.__setattr__(self, "chart", read_chart(self.sizes))
         elif self.misfit != NO_MISFIT:
             raise ConfigError(f"misfit is {self.misfit}, but there is no size chart: give sizes, such as women")
-        if not (match := STEPS.fullmatch(self.misfit)) or int(match[1]) > int(match[2]):
-            raise ConfigError(f"misfit is {self.misfit!r}: give two whole numbers, the smaller first, such as -3:3")
         if self.views and self.stage != "drape":
             raise ConfigError(f"views is {self.views}, but stage {self.stage} drapes nothing: give stage drape, or 0")
         if self.maps and self.stage != "drape":
@@ -210,9 +212,10 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
     recipe["design"] = config.design.to_dict()
     if not config.views:
         del recipe["view_size"]
-    if config.chart and config.sizes not in CHARTS:  # its content decides, wherever the file lies
+    if config.chart and config.sizes not in CHARTS:  # its name and content decide, wherever the file lies
         bodies = {size: body.to_file_values() for size, body in config.chart.bodies.items()}
-        recipe["sizes"] = recipe_hash({"bodies": bodies, "limits": dict(config.chart.limits)})
+        content = {"name": config.chart.name, "bodies": bodies, "limits": dict(config.chart.limits)}
+        recipe["sizes"] = recipe_hash(content)
     for name, usual in LATER.items():
         if recipe[name] == usual:
             del recipe[name]

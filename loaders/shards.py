@@ -412,7 +412,7 @@ def _stored_fields(fields: Iterable[str], members: Sequence[str]) -> tuple[str, 
 
 
 def _absent(parts: Sequence[_SplitPart], fields: Sequence[str] | None, *, is_remote: bool) -> dict[str, str]:
-    """Field to the reason why no garment has it: by the first garment, and of a server by the recipe.
+    """Field to the reason why no garment has it: by the first settled garment, and of a server by the recipe.
 
     ``fields``: of these pictures alone are looked at, since their tars may be missing.
     """
@@ -425,12 +425,15 @@ def _absent(parts: Sequence[_SplitPart], fields: Sequence[str] | None, *, is_rem
     part = next((part for part in parts if len(part.positions)), None)
     if part is None:
         return {}
+    settled, first = part.reader.index.settled, part.positions[0]
+    if settled.any():  # a garment that cannot be put on has no pictures
+        first = next((position for position in part.positions if settled[part.reader.rows([position])[0]]), first)
     held = {
         field: member for field, member in fields_of(part.reader.layout.members).items() if not is_view_field(field)
     }
     pictures = [field for field in held if is_picture(held[field])]
     stored = {field: held[field] for field in held if field not in pictures or fields is None or field in fields}
-    members = part.reader.read(part.positions[0], stored.values())
+    members = part.reader.read(first, stored.values())
     found = decode_fields(members, [field for field in stored if field not in pictures])
     missing = {field for field, value in found.items() if isinstance(value, np.ndarray) and not len(value)}
     missing |= {field for field in pictures if field in stored and len(members[stored[field]]) <= len(NO_PICTURE)}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias, Union
 import numpy as np
 
 from gcd_dataset.errors import ConfigError, ExtraMissing, ShardError
-from gcd_dataset.records import Body, BoxMesh, Drape, Pattern, Sample
+from gcd_dataset.records import Body, BoxMesh, Drape, Outcome, Pattern, Sample
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.fitting import Fitting
@@ -54,7 +54,7 @@ def key_of(garment: Draped) -> str:
 
 
 def draped_mesh(garment: Draped) -> tuple[BoxMesh, Drape]:
-    """Mesh and drape of a garment. Raises ``ShardError`` for a sample without a drape, or for one that diverged."""
+    """Mesh and drape of a garment. Raises ``ShardError`` for one without a drape, or with one that diverged."""
     if garment.box_mesh is None or garment.drape is None:
         raise ShardError(
             f"sample {key_of(garment)} holds no drape: make the data set with --stage drape, or export its pattern as "
@@ -64,6 +64,8 @@ def draped_mesh(garment: Draped) -> tuple[BoxMesh, Drape]:
         raise ShardError(
             f"{key_of(garment)}: its drape diverged ({garment.drape.outcome.name}): choose another garment"
         )
+    if garment.drape.outcome is Outcome.CANNOT_BE_PUT_ON:
+        raise ShardError(f"{key_of(garment)}: not draped, since it cannot be put on: choose another garment")
     return garment.box_mesh, garment.drape
 
 

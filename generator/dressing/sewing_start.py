@@ -97,9 +97,10 @@ def _keep_beside_trunk(
     room = _most_beside(others, side * beside[near, 0], count, least=-np.inf) + SLEEVE_GAP
     inside_arm = -_most_beside(arm_slices, -side * arm.skin[near_arm, 0], count, least=-np.inf) - SLEEVE_GAP
     fixed = np.minimum(np.maximum(outmost, room + SLEEVE_GAP), inside_arm)
-    scale = np.maximum(fixed - room, 0.0) / np.maximum(fixed - inmost, SLEEVE_GAP)
     moved = ((inmost < room) & (inmost < fixed))[slices] & (x < fixed[slices])
-    placed[rows[moved], 0] = side * (fixed[slices] - scale[slices] * (fixed[slices] - x))[moved]
+    fixed, room, inmost = (each[slices[moved]] for each in (fixed, room, inmost))
+    scale = np.maximum(fixed - room, 0.0) / np.maximum(fixed - inmost, SLEEVE_GAP)
+    placed[rows[moved], 0] = side * (fixed - scale * (fixed - x[moved]))
 
 
 def _put_on_legs(mesh: BoxMesh, trousers: Bool[np.ndarray, " p"], body: Body, placed: Float[np.ndarray, "v 3"]) -> None:

@@ -14,7 +14,7 @@ from jaxtyping import Complex
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import Fault, Rule, Severity, check_pattern
-from gcd_dataset.generator.garments.assembly import bottom_rise, pieces
+from gcd_dataset.generator.garments.assembly import MEASURES_USED, bottom_rise, pieces
 from gcd_dataset.generator.garments.cuff import arm_girth_in_end
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.garment import BottomGarment
@@ -113,8 +113,11 @@ def check_design(garment: DrawnGarment) -> tuple[Reject, ...]:
 def fit_labels(
     pattern: Pattern, design: GarmentDesign, *, cut_for: Measurements, wearer: Measurements
 ) -> tuple[FitLabel, ...]:
-    """The rules of ``WORN`` that a pattern drawn for one size breaks on its wearer."""
-    garment = DrawnGarment(cut_for, design, pattern, (), (), wearer)
+    """The rules of ``WORN`` that a pattern drawn for one size breaks on its wearer.
+
+    Raises ``BodyError`` for a wearer that lacks a measure.
+    """
+    garment = DrawnGarment(cut_for, design, pattern, (), (), wearer.require(*MEASURES_USED))
     found = (rule(garment) for rule in WORN)
     return tuple(FitLabel(broken.rule, broken.figures, broken.numbers) for broken in found if broken is not None)
 

@@ -17,7 +17,7 @@ from gcd_dataset.errors import ConfigError, ExtraMissing, ShardError
 from gcd_dataset.exports.blender_import import read_facts
 from gcd_dataset.exports.meshes import seam_vertices, smooth_normals, texture_coordinates
 from gcd_dataset.generator.body import build_body
-from gcd_dataset.records import BoxMesh, Drape, Sample
+from gcd_dataset.records import BoxMesh, Drape, Outcome, Sample
 from tests.exports.patterns import NAMES
 from tests.helpers import patch, tube
 
@@ -225,6 +225,9 @@ def test_a_sample_without_a_drape_is_refused(form: str, worn: Sample, tmp_path: 
     torn = replace(worn, drape=replace(drape, vertices=np.full_like(mesh.vertices, np.nan)))
     with pytest.raises(ShardError, match="its drape diverged"):
         WRITERS[form](torn, tmp_path / f"a.{form}")
+    off = replace(worn, drape=replace(drape, outcome=Outcome.CANNOT_BE_PUT_ON))
+    with pytest.raises(ShardError, match="it cannot be put on"):
+        WRITERS[form](off, tmp_path / f"a.{form}")
     with pytest.raises(ConfigError, match="end its name in"):
         WRITERS[form](worn, tmp_path / "a.txt")
     assert not list(tmp_path.iterdir())

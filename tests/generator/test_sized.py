@@ -10,7 +10,7 @@ import pytest
 from gcd_dataset import generate
 from gcd_dataset.check import checks
 from gcd_dataset.check.garments import CheckedGarment, garment_faults
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import BodyError, ConfigError
 from gcd_dataset.generator.body import build_body, measure
 from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.body.sizes import read_chart
@@ -22,7 +22,7 @@ from gcd_dataset.generator.garments.tightness import rings
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.pipeline import all_replies, build_pattern, drape_jobs, prepare, rejection
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
-from gcd_dataset.generator.sized import Cut, draw_cut, lifted
+from gcd_dataset.generator.sized import Cut, draw_cut, lifted, size_or_none
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.records import MISFITS, Fit, Measurements, Outcome
 from gcd_dataset.seeding import Stage, rng
@@ -39,7 +39,7 @@ DESIGNS = {"shirt": SHIRT, "dress": DRESS, "skirt": SKIRT, "trousers": TROUSERS}
 
 
 def fit_of(design: GarmentDesign, size: str, wearer: Measurements) -> Fit:
-    cut = Cut(WOMEN, size, WOMEN.size_of(wearer))
+    cut = Cut(WOMEN, size, size_or_none(WOMEN, wearer))
     return cut.fit(build_pattern(cut.measures, design), design, wearer)
 
 
@@ -93,6 +93,12 @@ def test_large_trousers_slide_off_and_a_long_dress_reaches_the_floor() -> None:
     short = replace(WOMEN.body("96"), height=70.0)
     found = cut.fit(build_pattern(cut.measures, DRESS), DRESS, short).labels
     assert "reaches_floor" in {label.rule for label in found}
+
+
+def test_a_wearer_without_a_measure_is_refused() -> None:
+    """A measure that is unsure on a mesh is NaN."""
+    with pytest.raises(BodyError, match="measures bust are missing"):
+        fit_of(SHIRT, "96", replace(WOMEN.body("96"), bust=np.nan))
 
 
 def test_a_garment_is_placed_by_the_wearers_nape_or_waist() -> None:
@@ -151,9 +157,17 @@ def test_the_recipe_holds_the_content_of_a_chart_and_omits_defaults(tmp_path: Pa
     copy.write_bytes(Path(WOMEN.source).read_bytes())
     recipe = recipe_of(replace(SIZED, sizes=str(copy)))
     (tmp_path / "other").mkdir()
-    moved = copy.rename(tmp_path / "other" / "moved.toml")
-    assert recipe_of(replace(SIZED, sizes=str(moved))) == recipe
+    moved = replace(SIZED, sizes=str(copy.rename(tmp_path / "other" / "copy.toml")))
+    assert recipe_of(moved) == recipe
+    renamed = replace(SIZED, sizes=str(Path(moved.sizes).rename(tmp_path / "renamed.toml")))
+    assert make(4, 3, renamed) != make(4, 3, moved)  # fit.chart
+    assert recipe_of(renamed) != recipe
     assert recipe_of(SIZED)["sizes"] == "women"
+
+
+def test_steps_written_in_another_way_are_the_same_recipe() -> None:
+    assert recipe_of(replace(SIZED, misfit="-03:+3")) == recipe_of(SIZED)
+    assert "misfit" not in recipe_of(replace(SIZED, misfit="+0:-0"))
 
 
 @pytest.mark.parametrize(
@@ -191,6 +205,15 @@ def test_a_garment_that_cannot_be_put_on_is_stored_undraped_and_read_again(tmp_p
     assert sample.fit is not None and sample.fit.obstacle is not None
     assert not sample.front and not sample.views[0].picture
     assert encode_sample(decode_sample(encode_sample(sample))) == encode_sample(sample)
+
+
+def test_pictures_are_read_where_the_first_garment_cannot_be_put_on(tmp_path: Path) -> None:
+    obstacles = ((seed, [prepare(seed, n, MISFIT).dressed[0].obstacle for n in (0, 1)]) for seed in range(4, 30))
+    seed = next(seed for seed, (first, second) in obstacles if first and not second)
+    generate(tmp_path, 2, seed=seed, config=MISFIT, workers=0)
+    sizes = [item["front"].shape[-1] for item in GarmentDataset(tmp_path, fields=["front"])]
+    assert sizes == [0, MISFIT.picture]
+    assert "back" in GarmentDataset(tmp_path).fields
 
 
 def test_misfits_are_no_failed_drapes() -> None:

@@ -204,6 +204,14 @@ def test_a_wide_sleeve_below_its_armhole_starts_outside_trunk_and_bodice() -> No
         assert x > beside[np.abs(beside[:, 1] - y) < 0.5 * SLICE, 0].max(initial=-np.inf)
 
 
+def test_a_wide_sleeve_that_ends_below_a_torso_starts_at_finite_positions() -> None:
+    body = neutral()[0]
+    keep = ~np.isin(body.parts, [part.value for part in (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG, BodyPart.FEET)])
+    faces = (np.cumsum(keep) - 1)[body.faces[keep[body.faces].all(axis=1)]]
+    torso = replace(body, vertices=body.vertices[keep], faces=faces, parts=body.parts[keep])
+    assert np.isfinite(sewing_start(shirt(sleeve=WIDE_SLEEVES), torso)).all()
+
+
 def test_the_end_of_a_moved_sleeve_is_straight() -> None:
     """Its vertices start at one distance along the arm: cuffs were sewn with the hem of one panel before the wrist."""
     mesh = shirt(sleeve=LONG_SLEEVES)
