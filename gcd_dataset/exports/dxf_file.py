@@ -66,7 +66,7 @@ class DxfLayer(StrEnum):
 def dxf(
     garment: Sample | Pattern | Graded, path: Path | str, *, seam_allowance: float = 1.0, created: date | None = None
 ) -> None:
-    """Write the pattern as DXF, or of a graded garment those of all sizes, pieces of one name over one another.
+    """Write a pattern as DXF, or all sizes of a graded garment: pieces of one name lie over one another.
 
     ``seam_allowance``: cloth beyond the sew line [cm]; ``created``: date of creation in the file. Raises
     ``ConfigError`` for a name that does not end in ``.dxf`` or an allowance out of range, ``PatternError`` for a

@@ -51,8 +51,8 @@ def maps_of(job: DrapeJob, drape: Drape) -> Maps:
 def _forces(shape: Deformation, fabric: Fabric) -> list[list[Float[np.ndarray, " f"]]]:
     """For each coordinate the forces of each face on its three corners [g cm/s²].
 
-    Of the deformation gradient F = R U, with a rotation R, the tension S follows from the strain U - 1. The forces are
-    those of constant-strain triangles with the stress R S.
+    The deformation gradient F is a rotation R times a stretch U. The strain U - 1 gives the tension S. A face is a
+    constant-strain triangle; its stress is R S.
     """
     uu, vv, uv = shape.squares()
     area = np.sqrt(np.maximum(uu * vv - uv * uv, TINY))

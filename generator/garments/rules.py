@@ -193,7 +193,7 @@ def too_tight(garment: DrawnGarment) -> Reject | None:
 
 
 def cannot_be_put_on(garment: DrawnGarment) -> Reject | None:
-    """A ring is narrower than what it passes, or than the body at its place, even stretched by ``CLOTH_GIVES``.
+    """A ring that is stretched by ``CLOTH_GIVES`` is too narrow to pass bust, hips or head, or to close where it lies.
 
     Rings of a garment with an upper pass the bust, those round the trunk of another garment the hips, a neckline the
     head. A ring narrower than this already on the body for which it is cut has a fastening, as has a front with a

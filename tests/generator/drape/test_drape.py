@@ -366,7 +366,7 @@ def test_a_lane_that_awaits_results_frees_its_buffers(living: WeakSet[Solver]) -
 
 
 class SlowStream:
-    """A stream whose device has ended its last work when it is asked for the third time."""
+    """A stream that answers no twice, then yes, when it is asked whether the device has ended its work."""
 
     def __init__(self, name: str, log: list[str]) -> None:
         self._name, self._log, self._work, self._asked = name, log, "", 0
