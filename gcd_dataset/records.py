@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum, StrEnum
 from math import cos, nan, sin
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -497,6 +497,12 @@ class Maps(Record):
     softened: float
     """Stiffness of the fabric over that in the drape, see ``Fabric.softened``: where cloth hangs by its weight instead
     of being held by the body, the pressure is too high by up to this factor. 1: not at all."""
+
+    @classmethod
+    def unknown(cls, count: int) -> Self:
+        """All NaN, for a drape that diverged or was not made, of ``count`` vertices."""
+        nothing = np.full(count, np.nan)
+        return cls(np.stack([nothing, nothing], axis=1), nothing, nothing, 1.0)
 
 
 # -------------------------------------------------------------------------------------------------------------- sample

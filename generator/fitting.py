@@ -19,7 +19,7 @@ from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError, SpecError
 from gcd_dataset.faults import Severity, require_valid
 from gcd_dataset.files import make_folder, safe_name, write_whole
-from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, maps_of
+from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
 from gcd_dataset.generator.drapers import DrapeReply
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
@@ -242,10 +242,10 @@ def _work(
     def finish(replies: Sequence[DrapeReply]) -> Fitting:
         [reply] = replies
         ease = ease_of(dressing.pattern, mesh, body, size, reply.drape.vertices)
-        found = maps_of(job, reply.drape) if maps else None
-        return Fitting(dressing.pattern, body, dressing.assumed, mesh, reply.drape, ease, seconds, reply.seconds, found)
+        drape, maps_found = reply.drape, reply.maps
+        return Fitting(dressing.pattern, body, dressing.assumed, mesh, drape, ease, seconds, reply.seconds, maps_found)
 
-    return DrapeWork([job], finish)
+    return DrapeWork([job], finish, maps=maps)
 
 
 def _dress(

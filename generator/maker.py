@@ -186,7 +186,8 @@ class _Pending(Generic[Made]):
         """The next accepted design for an index, as drape jobs."""
         design = prepare(self.seed, index // self.config.wearers, self.config, rejects, redraws)
         picture, views = (self.config.picture, view_requests(design, self.config)) if self.pictured else (0, ())
-        return DrapeWork(drape_jobs(design, self.config), partial(self._finish, index, design), picture, views)
+        jobs, finished = drape_jobs(design, self.config), partial(self._finish, index, design)
+        return DrapeWork(jobs, finished, picture, views, self.config.maps)
 
     def _finish(self, index: int, design: DressedDesign, replies: Sequence[DrapeReply]) -> int | DrapeWork[int]:
         """Finish the requested samples of a design; if a drape failed, return the next attempt instead."""

@@ -37,6 +37,7 @@ from gcd_dataset.records import (
     Ease,
     Fit,
     FitLabel,
+    Maps,
     Measurements,
     NamedFabric,
     Outcome,
@@ -381,11 +382,8 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
     if config.captions:
         caption = captions_text(dressed.cut_for, design.design, dressed.pattern, seed=design.seed, index=index)
     maps, ease = None, dict[str, Ease]()
-    if config.maps and mesh is not None and drape is not None:
-        from gcd_dataset.generator.drape import DrapeJob, maps_of
-
-        fabric = sample_fabric(design.seed, index, config.fabric)
-        maps = maps_of(DrapeJob(mesh, dressed.body, dressed.size, fabric), drape)
+    if config.maps and reply is not None:
+        maps = reply.maps or Maps.unknown(len(reply.drape.vertices))
     if config.ease and mesh is not None:
         worn = None if drape is None or dressed.obstacle else drape.vertices
         ease = ease_of(dressed.pattern, mesh, dressed.body, dressed.size, worn)

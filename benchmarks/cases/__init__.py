@@ -56,6 +56,7 @@ CASES: Mapping[str, str] = {
     "design_space": "benchmarks.cases.design_space",
     "drape": "benchmarks.cases.drape",
     "fabrics": "benchmarks.cases.fabrics",
+    "fits": "benchmarks.cases.fits",
     "generated": "benchmarks.cases.generated",
     "loaders": "benchmarks.cases.loaders",
     "measures": "benchmarks.cases.measures",

@@ -18,7 +18,8 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from itertools import cycle, islice
@@ -64,13 +65,10 @@ def run(options: argparse.Namespace) -> CaseResult:
         bodies=options.bodies, resolution=options.resolution, device=options.device, picture=options.picture
     )
     devices = devices_of(config)
-    rate, unsettled, load = _written(config, options)
-    figures = [Figure("garments_per_s", rate, "garments"), Figure("unsettled", unsettled, "of the garments")]
-    if load.watts:
-        figures += [
-            Figure("gpu_waits", load.idle, "of the time"),
-            Figure("joules", load.watts * len(devices) / rate, "J a garment"),
-        ]
+    outcomes: Counter[str] = Counter()
+    figures = written(config, options, lambda meta, _: outcomes.update([meta["drape"]["outcome"]]))
+    rate = figures[0].value
+    figures.append(Figure("unsettled", 1 - outcomes[Outcome.SETTLED.name] / options.count, "of the garments"))
     if device_kind(config) == "cuda" and options.seconds:
         for name, pictured in (("own_per_s", False), ("own_pictured_per_s", True)):
             own = own_rate(config, prepared=options.prepared, warm=256, seconds=options.seconds, pictured=pictured)
@@ -83,9 +81,14 @@ def run(options: argparse.Namespace) -> CaseResult:
     )
 
 
-def _written(config: MakeConfig, options: argparse.Namespace) -> "tuple[float, float, GpuLoad]":
-    """Garments per second from the first to the last, the share that did not settle, and the GPU's load meanwhile."""
-    begun, unsettled, load = 0.0, 0, GpuLoad()
+def written(
+    config: MakeConfig, options: argparse.Namespace, note: Callable[[dict[str, Any], Mapping[str, bytes]], None]
+) -> list[Figure]:
+    """Write ``options.count`` garments of a seed to shards; garments per second from the first to the last, GPU's load.
+
+    ``note`` is called with the metadata and the members of each garment.
+    """
+    begun, load, devices = 0.0, GpuLoad(), devices_of(config)
     with (
         tempfile.TemporaryDirectory() as folder,
         ShardWriter(Path(folder), seed=options.seed, recipe=recipe_of(config)) as writer,
@@ -95,10 +98,14 @@ def _written(config: MakeConfig, options: argparse.Namespace) -> "tuple[float, f
         for index, members in enumerate(made):
             writer.add(index, members)
             if not begun:
-                begun, load = time.perf_counter(), measured.enter_context(gpu_load(devices_of(config)[0]))
-            unsettled += json.loads(members["meta.json"])["drape"]["outcome"] != Outcome.SETTLED.name
-        seconds = time.perf_counter() - begun
-    return (options.count - 1) / seconds, unsettled / options.count, load
+                begun, load = time.perf_counter(), measured.enter_context(gpu_load(devices[0]))
+            note(json.loads(members["meta.json"]), members)
+        rate = (options.count - 1) / (time.perf_counter() - begun)
+    figures = [Figure("garments_per_s", rate, "garments")]
+    if load.watts:
+        figures.append(Figure("gpu_waits", load.idle, "of the time"))
+        figures.append(Figure("joules", load.watts * len(devices) / rate, "J a garment"))
+    return figures
 
 
 def _steps(config: MakeConfig, options: argparse.Namespace) -> list[Figure]:

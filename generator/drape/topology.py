@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Self
 
 import numpy as np
 import warp as wp
@@ -48,17 +49,15 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
     """The topology of all garments, in the order of the jobs; ``keepers``: vertex indices for each garment."""
     load_drape(device)
     meshes = [job.box_mesh for job in jobs]
-    batch = _MeshBatch(
-        device,
-        *(np.cumsum([0, *(len(getattr(mesh, name)) for mesh in meshes)]) for name in ("vertices", "uv", "faces")),
-    )
+    batch = MeshBatch.of(meshes, device)
     start = batch.joined([mesh.vertices for mesh in meshes], np.float32, wp.vec3)
     sizes = np.diff(batch.vertices)
     world = wp.array(np.repeat(np.arange(len(jobs), dtype=np.int32), sizes), dtype=int, device=device)
     sheets = wp.array([sheet_of(job.fabric) for job in jobs], dtype=Sheet, device=device)
     surface = batch.surface(meshes)
     hinges, edge_offset = batch.describe_edges(surface, start, world, sheets)
-    batch.find_neighbours(surface)
+    batch.find_faces(surface)
+    batch.find_edges(surface)
     rows = batch.rows(surface, coupled=not all(job.fabric.isotropic for job in jobs))
     keeper = batch.marked(keepers)
     n = int(batch.vertices[-1])
@@ -80,13 +79,19 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
 
 
 @dataclass(frozen=True)
-class _MeshBatch:
+class MeshBatch:
     """The device of a batch, and the offsets (w + 1) of vertices, corners (rows of ``uv``) and faces."""
 
     device: str
     vertices: np.ndarray
     corners: np.ndarray
     faces: np.ndarray
+
+    @classmethod
+    def of(cls, meshes: Sequence[BoxMesh], device: str) -> Self:
+        """The batch of garments in the order of their meshes."""
+        counts = [[len(mesh.vertices), len(mesh.uv), len(mesh.faces)] for mesh in meshes]
+        return cls(device, *np.cumsum([[0, 0, 0], *counts], axis=0).T)
 
     def surface(self, meshes: Sequence[BoxMesh]) -> kernels.ClothSurface:
         """Faces with their flat corner coordinates; ``describe_edges`` adds the edges."""
@@ -124,10 +129,14 @@ class _MeshBatch:
         self.launch(kernels.describe_edges, sides, inputs, [surface, hinges])
         return hinges, offsets
 
-    def find_neighbours(self, surface: kernels.ClothSurface) -> None:
-        """Fill the faces and edges round each vertex in ``surface`` (compressed sparse rows)."""
-        sides, ends = 3 * int(self.faces[-1]), 2 * len(surface.edges)
+    def find_faces(self, surface: kernels.ClothSurface) -> None:
+        """Fill the faces round each vertex in ``surface`` (compressed sparse rows)."""
+        sides = 3 * int(self.faces[-1])
         surface.vertex_faces, surface.first_face = self._by_vertex(kernels.key_corners, surface.faces, sides)
+
+    def find_edges(self, surface: kernels.ClothSurface) -> None:
+        """Fill the edges round each vertex in ``surface``, after ``describe_edges``."""
+        ends = 2 * len(surface.edges)
         surface.vertex_edges, surface.first_edge = self._by_vertex(kernels.key_ends, surface.edges, ends)
 
     def _by_vertex(self, kernel: wp.Kernel, elements: wp.array, size: int) -> tuple[wp.array, wp.array]:

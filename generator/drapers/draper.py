@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gcd_dataset.generator.views import RenderedView, ViewRequest, finished_view, requested_scene, requested_views
-from gcd_dataset.records import Drape
+from gcd_dataset.records import Drape, Maps
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
@@ -29,6 +29,8 @@ class DrapeRequest:
     """A further attempt at a sample; draped before all other requests, since later samples wait for it."""
     views: ViewRequest | None = None
     """The drawn views to take, if any."""
+    maps: bool = False
+    """Whether to compute ``DrapeReply.maps``."""
     prepared: "PreparedJob | None" = None
     """The job with its host data, made by a sender in another process."""
 
@@ -46,6 +48,7 @@ class DrapeReply:
     """Time of the batch divided by its garments; 0 from a draper that several processes share."""
     views: tuple[RenderedView, ...] = ()
     """The drawn views; none of a diverged drape."""
+    maps: Maps | None = None
 
 
 class Draper(Protocol):
@@ -73,14 +76,19 @@ class Draper(Protocol):
 
 
 def make_reply(request: DrapeRequest, drape: Drape, device: str, *, seconds: float = 0.0) -> DrapeReply:
-    """The reply to a request, with the pictures that it asks for, rendered on ``device``."""
+    """The reply to a request, with the pictures and maps that it asks for, made on ``device``."""
     pictures = None
     if request.picture:
         from gcd_dataset.generator.render import render_garment
 
         mesh, body = request.job.box_mesh, request.job.body
         pictures = render_garment(drape.vertices, mesh, body, size=request.picture, device=device)
-    return DrapeReply(request.number, drape, pictures, seconds, views=_views(request, drape, device))
+    maps = None
+    if request.maps:
+        from gcd_dataset.generator.drape import maps_of
+
+        maps = maps_of(request.job, drape, device=device)
+    return DrapeReply(request.number, drape, pictures, seconds, _views(request, drape, device), maps)
 
 
 def _views(request: DrapeRequest, drape: Drape, device: str) -> tuple[RenderedView, ...]:
@@ -110,6 +118,8 @@ class DrapeWork(Generic[Made]):
     """Side of front and back [pixels]; 0 for none."""
     views: Sequence[ViewRequest] = ()
     """The drawn views of each job; empty for none."""
+    maps: bool = False
+    """Whether to compute the maps of the drapes."""
 
 
 def in_order(work: Iterable[DrapeWork[Made]], draper: Draper | None, *, ahead: int, at_once: int) -> Iterator[Made]:
@@ -196,7 +206,8 @@ class _Dispatcher:
             assert self._draper is not None
             self._job_of[self._next_number] = task, number
             views = task.work.views[number] if task.work.views else None
-            self._draper.send(DrapeRequest(self._next_number, job, task.work.picture, retry, views))
+            request = DrapeRequest(self._next_number, job, task.work.picture, retry, views, task.work.maps)
+            self._draper.send(request)
             self._next_number += 1
         self._finish(task)
 

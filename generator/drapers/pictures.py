@@ -5,13 +5,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from gcd_dataset.generator.drape.maps import PendingMaps
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
 from gcd_dataset.generator.render import PendingPictures, Scene, View, garment_scene, start_pictures
 from gcd_dataset.generator.render.plain import SIDES, start_plain
 from gcd_dataset.generator.views import RenderedView, finished_view, requested_scene, requested_views
-from gcd_dataset.records import Drape
+from gcd_dataset.records import Drape, Maps
 
 PIXELS = 16 * 512**2  # pixels of one rendering: 8 garments in two views, 0.2 GB of hits
+LEAST_PIXELS = 2 * 512**2  # a garment counts as many where it asks for smaller pictures, or for maps alone
 MAX_IN_FLIGHT = 2  # renderings: one runs while the next is prepared
 
 
@@ -25,7 +27,7 @@ class _PendingRequest:
 
 
 class PictureQueue:
-    """Replies to requests on one device: at once without pictures, else after rendering, in the order of ``add``."""
+    """Replies to requests on one device, in the order of ``add``: at once if only the drape is asked for."""
 
     def __init__(self, device: str) -> None:
         self._device = device
@@ -33,8 +35,8 @@ class PictureQueue:
         self._in_flight: deque[tuple[_Renderings, list[_PendingRequest]]] = deque()
 
     def add(self, request: DrapeRequest, drape: Drape, reply: Callable[[DrapeReply], None]) -> None:
-        """Add a draped garment; this call, or a later call of any method, calls ``reply`` with its pictures."""
-        if not request.picture and request.views is None:
+        """Add a draped garment; this call, or a later call of any method, calls ``reply``."""
+        if not request.picture and request.views is None and not request.maps:
             reply(DrapeReply(request.number, drape, None))
             return
         if self._pending and _sizes(self._pending[0].request) != _sizes(request):
@@ -61,7 +63,7 @@ class PictureQueue:
 
     def _batch_size(self, pixels: int) -> int:
         """Garments of ``pixels`` each in one rendering; a CPU renders one at a time."""
-        return 1 if self._device == "cpu" else max(1, PIXELS // pixels)
+        return 1 if self._device == "cpu" else max(1, PIXELS // max(pixels, LEAST_PIXELS))
 
     def _render(self) -> None:
         while len(self._in_flight) >= MAX_IN_FLIGHT:
@@ -71,16 +73,18 @@ class PictureQueue:
 
     def _reply_first(self) -> None:
         renderings, batch = self._in_flight.popleft()
-        for pending, pictures, views in zip(batch, renderings.pictures(), renderings.views(), strict=True):
-            pending.reply(DrapeReply(pending.request.number, pending.drape, pictures, views=views))
+        results = zip(batch, renderings.pictures(), renderings.views(), renderings.maps(), strict=True)
+        for pending, pictures, views, maps in results:
+            pending.reply(DrapeReply(pending.request.number, pending.drape, pictures, views=views, maps=maps))
 
 
 class _Renderings:
-    """Front, back and drawn views of a batch of garments, all of the same sizes, that a device is rendering."""
+    """Front, back, drawn views and maps that a device makes of a batch of garments; all ask for the same."""
 
     def __init__(self, batch: Sequence[_PendingRequest], device: str) -> None:
         self._batch = batch
         self._plain: PendingPictures | None = None
+        self._maps = PendingMaps([(p.request.job, p.drape) for p in batch], device) if batch[0].request.maps else None
         if size := batch[0].request.picture:
             scenes = [garment_scene(p.drape.vertices, p.request.job.box_mesh, p.request.job.body) for p in batch]
             self._plain = start_plain(scenes, size=size, device=device)
@@ -100,6 +104,10 @@ class _Renderings:
             return [None] * len(self._batch)
         pictures = self._plain.lend_rgb()
         return list(zip(pictures[::2], pictures[1::2], strict=True))
+
+    def maps(self) -> Sequence[Maps | None]:
+        """The maps of each drape; ``None`` where they were not asked for. Call once."""
+        return [None] * len(self._batch) if self._maps is None else self._maps.maps()
 
     def views(self) -> list[tuple[RenderedView, ...]]:
         """The drawn views of each garment. Call once."""
@@ -123,6 +131,6 @@ class _Renderings:
         self._drawn = start_pictures(self._scenes, views, size=size, device=device)
 
 
-def _sizes(request: DrapeRequest) -> tuple[int, int]:
-    """Sizes of the pictures that a request asks for; requests of the same sizes are rendered together."""
-    return request.picture, 0 if request.views is None else request.views.size
+def _sizes(request: DrapeRequest) -> tuple[int, int, bool]:
+    """Sizes of the pictures that a request asks for, and whether it asks for maps; equal ones are served together."""
+    return request.picture, 0 if request.views is None else request.views.size, request.maps
