@@ -13,6 +13,7 @@ import argparse
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,16 @@ import numpy as np
 
 from benchmarks.cases import CaseResult, Figure, jpeg_file
 from benchmarks.cases.scale import written
+from gcd_dataset.errors import PatternError
 from gcd_dataset.files import write_whole
-from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes, picture_of
-from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator import build_pattern
+from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
+from gcd_dataset.generator.fitting import Fitting, drape_patterns
+from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.recipes import find_recipe
+from gcd_dataset.generator.render import render_garment
+from gcd_dataset.generator.sized import Cut, lifted
 from gcd_dataset.records import Outcome
 
 TILE = 256  # side of a garment's picture on the sheet [pixels]
@@ -89,16 +95,38 @@ def _is_right(meta: Mapping[str, Any]) -> bool:
 
 
 def _write_sheet(path: Path, config: MakeConfig, options: argparse.Namespace) -> None:
-    """Each row is a design on one wearer; a wearer near an end of the chart gets the last size more than once."""
-    indices = range(0, options.shown * config.wearers, config.wearers)
-    columns = [
-        produce(options.seed, indices, replace(config, misfit=f"{step}:{step}", picture=TILE), workers=1)
-        for step in range(config.steps[0], config.steps[1] + 1)
+    """Each row is a design on one wearer; those that cannot be cut in all sizes are left out."""
+    shown = (row for number in count() if (row := _in_all_sizes(options.seed, number, config)))
+    pictures = [picture for row in islice(shown, options.shown) for picture in row]
+    write_whole(path, jpeg_bytes(contact_sheet(pictures, columns=len(pictures) // options.shown)))
+
+
+def _in_all_sizes(seed: int, number: int, config: MakeConfig) -> list[np.ndarray]:
+    """Pictures of a design on its first wearer, cut for each size of ``config.misfit``; none if one cannot be cut."""
+    made = prepare(seed, number, config)
+    first, chart, (least, most) = made.dressed[0], config.chart, config.steps
+    assert chart is not None
+    assert first.fit is not None
+    sizes, own = list(chart.bodies), first.fit.wearer_size
+    place = sizes.index(own)
+    if place + least < 0 or place + most >= len(sizes):
+        return []
+    cuts = [Cut(chart, size, own) for size in sizes[place + least : place + most + 1]]
+    try:
+        drawn = [build_pattern(cut.measures, made.design) for cut in cuts]
+    except PatternError:
+        return []
+    patterns = [
+        lifted(pattern, made.design, cut_for=cut.measures, wearer=first.size)
+        for cut, pattern in zip(cuts, drawn, strict=True)
     ]
+    draped = drape_patterns(
+        patterns, lambda _: (first.body, first.size), resolution=config.resolution, device=config.device
+    )
     blank = np.full((TILE, TILE, 3), 255, np.uint8)
-    pictures = [
-        picture_of(sample.front, TILE) if sample.front else blank
-        for row in zip(*columns, strict=True)
-        for sample in row
+    return [
+        render_garment(one.drape.vertices, one.box_mesh, one.body, size=TILE, device=config.device)[0]
+        if isinstance(one, Fitting)
+        else blank
+        for one in draped
     ]
-    write_whole(path, jpeg_bytes(contact_sheet(pictures, columns=len(columns))))
