@@ -498,6 +498,11 @@ class Maps(Record):
     """Stiffness of the fabric over that in the drape, see ``Fabric.softened``: where cloth hangs by its weight instead
     of being held by the body, the pressure is too high by up to this factor. 1: not at all."""
 
+    @property
+    def by_vertex(self) -> dict[str, Float[np.ndarray, "v *channels"]]:
+        """The arrays by name."""
+        return {"stretch": self.stretch, "gap": self.gap, "pressure": self.pressure}
+
 
 # -------------------------------------------------------------------------------------------------------------- sample
 
