@@ -276,8 +276,9 @@ def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: 
     for side, picture in {"front": front, "back": back, "pattern": draw_pattern(fitting.pattern)}.items():
         write_whole(folder / f"{name}_{side}.png", png_bytes(picture))
     if fitting.maps is not None:
-        content, numbers = io.BytesIO(), {**fitting.maps.by_vertex, "softened": fitting.maps.softened}
-        np.savez(content, **{name: np.asarray(value, np.float32) for name, value in numbers.items()})
+        content, maps = io.BytesIO(), fitting.maps
+        stretch, gap, pressure = (value.astype(np.float32) for value in (maps.stretch, maps.gap, maps.pressure))
+        np.savez(content, stretch=stretch, gap=gap, pressure=pressure, softened=np.float32(maps.softened))
         write_whole(folder / f"{name}_maps.npz", content.getvalue())
     if np.isfinite(vertices).all():
         exports.obj(fitting, folder / f"{name}.obj", body=False)

@@ -132,18 +132,21 @@ def _wearer(legs_apart: bool) -> tuple[Body, Measurements]:
     return body, measurements
 
 
-def _values(sample: Sample) -> dict[str, Float[np.ndarray, " v"]]:
-    """See ``Content.values``; without maps the stretch is the mean over the faces of a vertex."""
+def vertex_stretch(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, " v"]:
+    """The larger principal stretch of each vertex: the mean over its faces."""
     from gcd_dataset.generator.quality import principal_stretches
 
-    mesh, drape = sample.box_mesh, sample.drape
+    corners, stretch = mesh.faces.ravel(), principal_stretches(mesh, vertices)[:, 0]
+    sums, counts = (np.bincount(corners, weights, len(vertices)) for weights in (np.repeat(stretch, 3), None))
+    return sums / np.maximum(counts, 1)
+
+
+def _values(sample: Sample) -> dict[str, Float[np.ndarray, " v"]]:
+    """See ``Content.values``."""
     if sample.maps is not None:
         return {**sample.maps.by_vertex, "stretch": sample.maps.stretch[:, 0]}
-    if mesh is None or drape is None:
-        return {}
-    corners, stretch = mesh.faces.ravel(), principal_stretches(mesh, drape.vertices)[:, 0]
-    sums, counts = (np.bincount(corners, weights, len(mesh.vertices)) for weights in (np.repeat(stretch, 3), None))
-    return {"stretch": sums / np.maximum(counts, 1)}
+    mesh, drape = sample.box_mesh, sample.drape
+    return {} if mesh is None or drape is None else {"stretch": vertex_stretch(mesh, drape.vertices)}
 
 
 def _crossed(mesh: BoxMesh | None, drape: Drape | None, body: Body | None) -> Int[np.ndarray, " n"] | None:

@@ -65,6 +65,7 @@ def map_pictures(sample: Sample, *, size: int, sides: Sequence[str] = ("front",)
     Raises ``ConfigError`` for a sample without maps, on a body of another model, or with a drape that diverged.
     """
     from gcd_dataset.generator.render import render, scene_of_sample
+    from gcd_dataset.generator.render.pictures import VERTEX_MAPS
     from gcd_dataset.generator.render.plain import plain_view
 
     require_maps(sample.maps is not None, sample.key)
@@ -75,7 +76,7 @@ def map_pictures(sample: Sample, *, size: int, sides: Sequence[str] = ("front",)
     white = tuple(replace(cloth, print=WHITE) for cloth in views[0].appearance.cloths)
     views = [replace(view, appearance=replace(view.appearance, cloths=white)) for view in views]
     found = []
-    for picture in render([scene], views, size=SHARPNESS * size, maps=tuple(SCALES)):
+    for picture in render([scene], views, size=SHARPNESS * size, maps=VERTEX_MAPS):
         for name, scale in SCALES.items():
             values = picture.maps[name].reshape(*picture.rgb.shape[:2], -1)[..., 0]
             tinted, on_cloth = picture.rgb.astype(float), np.isfinite(values)

@@ -229,7 +229,8 @@ def _corner_values(scene: Scene, maps: Sequence[MapName]) -> Float[np.ndarray, "
 
 def _by_name(values: Float[np.ndarray, "s h w n"], maps: Sequence[MapName]) -> dict[str, np.ndarray]:
     """Views of the channels of each map in ``VALUES``, in the order of ``maps``."""
-    found, begin = {}, 0
+    found: dict[str, np.ndarray] = {}
+    begin = 0
     for name in maps:
         if name in VALUES:
             end = begin + math.prod(VALUES[name])

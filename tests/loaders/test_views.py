@@ -168,7 +168,7 @@ def mapped(worn: list[Sample], tmp_path_factory: pytest.TempPathFactory) -> Garm
 def test_maps_of_vertices_are_those_of_the_point_that_a_pixel_shows(mapped: GarmentDataset) -> None:
     views, batches = small(n=2, maps=("depth", *VERTEX_MAPS)), []
     for collate in (collate_packed, collate_padded, collate_list):
-        [batch] = views.batches(DataLoader(mapped, batch_size=COUNT, collate_fn=collate))  # type: ignore[arg-type]
+        [batch] = views.batches(DataLoader(mapped, batch_size=COUNT, collate_fn=collate))
         names = ("depth_map", "gap_map", "stretch_map", "pressure_map", "camera_k", "camera_rt")
         is_list = isinstance(batch, list)
         batches.append({name: torch.stack([g[name] for g in batch]) if is_list else batch[name] for name in names})
