@@ -79,6 +79,7 @@ class Views(SceneTransform):
 
     - ``appearance``, ``camera``, ``lights``, ``environment``: the ranges to draw from, such as
       ``AppearanceRanges(prints=…)``; ``None``: all.
+    - ``maps``: names of ``Picture.maps``; ``stretch``, ``gap`` and ``pressure`` need the fields of these names.
     - ``device``: ``auto`` is this rank's GPU, else the CPU; looked up when ``Views`` is made, so make it after
       ``torch.distributed`` is initialised.
     - ``bodies``: the wearers of garments without shape weights of the body model, such as published ones and

@@ -53,7 +53,7 @@ def page_of(content: Content, *, maps: bool = False) -> str:
         "tables": "".join(_table(title, rows) for title, rows in content.tables.items() if rows),
         "footer": FOOTER,
         "style": asset("page.css"),
-        "data": script_data({**_data(content, plan), "colours": "stretch" if maps else "panels"}),
+        "data": script_data({**_data(content, plan), "colours": "stretch" if maps and content.values else "panels"}),
         "script": script,
         "script_hash": f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}",
     }

@@ -166,6 +166,7 @@ def test_stages_and_switches_are_those_of_the_content(content: Content) -> None:
     assert offered(content) == (["0", "1", "2"], True, True)
     placed = replace(content, draped=None, values={}, crossed=None, body=None)
     assert offered(placed) == (["0", "1"], False, False)
+    assert data_of(page_of(placed, maps=True))["colours"] == "panels"
 
 
 def test_a_value_has_its_choice_its_legend_with_unit_and_range_and_its_colours(content: Content) -> None:
