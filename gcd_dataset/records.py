@@ -504,6 +504,11 @@ class Maps(Record):
         nothing = np.full(count, np.nan)
         return cls(np.stack([nothing, nothing], axis=1), nothing, nothing, 1.0)
 
+    @property
+    def by_vertex(self) -> dict[str, Float[np.ndarray, "v *channels"]]:
+        """The arrays by name."""
+        return {"stretch": self.stretch, "gap": self.gap, "pressure": self.pressure}
+
 
 # -------------------------------------------------------------------------------------------------------------- sample
 

@@ -103,11 +103,13 @@ class StoredGarment:
     meta: Mapping[str, Any]
     user: str
     """Name of the transform, for errors."""
+    values: Mapping[str, np.ndarray]
+    """See ``Scene.values``."""
 
     @classmethod
-    def of(cls, item: Item, *, user: str) -> "StoredGarment":
-        """For the transform ``user``. Raises ``ConfigError`` for a missing field, mesh or drape."""
-        _require_fields(item, user)
+    def of(cls, item: Item, *, user: str, values: Sequence[str] = ()) -> "StoredGarment":
+        """For the transform ``user``, with ``values``. Raises ``ConfigError`` for a missing field, mesh or drape."""
+        _require_fields(item, user, values)
         meta = item["meta"]
         if meta.get("yaw"):
             raise ConfigError(
@@ -126,7 +128,8 @@ class StoredGarment:
         )
         weights = _array(item["body"]).astype(float) if "body" in item else np.zeros(0)
         fabric = None if meta["fabric"] is None else meta["fabric"]["name"]
-        return cls(meta["index"], fabric, mesh, vertices, item["spec"], weights if len(weights) else None, meta, user)
+        shape, given = weights if len(weights) else None, {name: _array(item[name]) for name in values}
+        return cls(meta["index"], fabric, mesh, vertices, item["spec"], shape, meta, user, given)
 
     def picture_seed(self, seed: int) -> int:
         """The seed of its pictures, scans or sketches, from the seed of the transform."""
@@ -162,13 +165,18 @@ def _bare_pattern(meta: Mapping[str, Any], spec: Mapping[str, Any]) -> Pattern:
 UNPLACED = Placement(np.zeros(3), np.zeros(3))
 
 
-def _require_fields(item: Item, user: str) -> None:
+def _require_fields(item: Item, user: str, values: Sequence[str]) -> None:
     if missing := [field for field in NEEDED if field not in item]:
         raise ConfigError(
             f"{user} needs {', '.join(missing)}, and the items hold {', '.join(item) or 'nothing'}: give the data set "
             "fields=gcd_dataset.loaders.VIEW_FIELDS, or fields=None for all"
         )
     key = item["meta"]["key"]
+    if missing := [field for field in values if field not in item]:
+        raise ConfigError(
+            f"{key} has no {', '.join(missing)} for maps of {user}: give the data set fields=(*VIEW_FIELDS, "
+            f"{', '.join(map(repr, values))}); gcd generate --maps makes one that holds them"
+        )
     if empty := [field for field in ("faces", "uv", "verts") if not len(item[field])]:
         raise ConfigError(
             f"{key} has no {' and no '.join(empty)}: {user} renders draped garments: make them up to drape"

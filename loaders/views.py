@@ -12,8 +12,9 @@ import threading
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import numpy as np
 import torch
@@ -32,6 +33,7 @@ from gcd_dataset.loaders.batches import (
 )
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.scenes import VIEW_FIELDS, BodyOf, SceneTransform, StoredGarment, wearer_of
+from gcd_dataset.shards.layout import ARRAYS, MAPS
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.render import (
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
     )
     from gcd_dataset.generator.render.pictures import MapName
 
+USED = (*VIEW_FIELDS, *ARRAYS[MAPS])  # fields that views are rendered from
 MOST_VIEWS = 4096
 PIXELS = 64 * 512**2  # pixels rendered at once: 0.8 GB of hits
 
@@ -76,6 +79,7 @@ class Views(SceneTransform):
 
     - ``appearance``, ``camera``, ``lights``, ``environment``: the ranges to draw from, such as
       ``AppearanceRanges(prints=…)``; ``None``: all.
+    - ``maps``: names of ``Picture.maps``; ``stretch``, ``gap`` and ``pressure`` need the fields of these names.
     - ``device``: ``auto`` is this rank's GPU, else the CPU; looked up when ``Views`` is made, so make it after
       ``torch.distributed`` is initialised.
     - ``bodies``: the wearers of garments without shape weights of the body model, such as published ones and
@@ -157,7 +161,7 @@ class Views(SceneTransform):
         scenes: list[Scene] = []
         views: list[View] = []
         for row, (item, use) in enumerate(zip(items, uses, strict=True)):
-            garment = StoredGarment.of(item, user="Views")
+            garment = StoredGarment.of(item, user="Views", values=[n for n in self.maps if n in ARRAYS[MAPS]])
             seed = garment.picture_seed(self.seed)
             scenes.append(self._scene(garment, seed, use))
             options: dict[str, Any] = {"epoch": use, "row": row, "fabric": garment.fabric, "ranges": self.ranges}
@@ -181,7 +185,8 @@ class Views(SceneTransform):
 
         hair = draw_hair(seed, garment.index, epoch=use)
         body = wearer_of(garment, self._body_of)
-        return stored_scene(garment.mesh, garment.vertices, body, pattern=garment.pattern, hair=hair)
+        scene = stored_scene(garment.mesh, garment.vertices, body, pattern=garment.pattern, hair=hair)
+        return replace(scene, values=garment.values) if garment.values else scene
 
     def _entries(self, pictures: Sequence["Picture"]) -> Item:
         """The new entries of an item."""
@@ -273,8 +278,8 @@ def _items_of(batch: Any) -> list[Item]:
         return batch
     if isinstance(batch, PaddedBatch):
         return [_unpadded(batch, number) for number in range(count)]
-    targets = {target for field in VIEW_FIELDS for _, target in POINTS_TO.get(field, ())} | {"verts", "box"}
-    names = [*VIEW_FIELDS, *(f"{field}_ptr" for field in {*VIEW_FIELDS, *targets}), "batch_size"]
+    targets = {target for field in USED for _, target in POINTS_TO.get(field, ())} | {"verts", "box"}
+    names = [*USED, *(f"{field}_ptr" for field in {*USED, *targets}), "batch_size"]
     part = PackedBatch({name: batch[name] for name in names if name in batch})
     return [part.garment(number) for number in range(count)]
 
@@ -282,14 +287,14 @@ def _items_of(batch: Any) -> list[Item]:
 def _unpadded(batch: PaddedBatch, number: int) -> Item:
     return {
         field: batch[field][number][batch[f"{field}_mask"][number]] if field in RAGGED else batch[field][number]
-        for field in VIEW_FIELDS
+        for field in USED
         if field in batch
     }
 
 
 def _known_maps(maps: Sequence["MapName"]) -> tuple["MapName", ...]:
-    from gcd_dataset.generator.render import MAPS
+    from gcd_dataset.generator.render.pictures import MapName
 
-    if isinstance(maps, str) or any(name not in MAPS for name in maps):
-        raise ConfigError(f"maps={maps!r:.99}: give names in a tuple, of {', '.join(MAPS)}")
+    if isinstance(maps, str) or any(name not in get_args(MapName) for name in maps):
+        raise ConfigError(f"maps={maps!r:.99}: give names in a tuple, of {', '.join(get_args(MapName))}")
     return tuple(dict.fromkeys(maps))

@@ -56,6 +56,9 @@ def add_verbs(verbs: Any) -> None:
     show.add_argument("--html", type=Path, metavar="FILE", help="pattern, mesh and drape as one self-contained page")
     show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready for cutting")
     show.add_argument("--sheet", type=Path, metavar="FILE", help="pictures of several garments, as JPEG or PNG")
+    show.add_argument(
+        "--maps", action="store_true", help="in the colours of stretch, gap to the skin and pressure; except --svg"
+    )
     conditions = "for --sheet: kind, grade or outcome, as in the viewer: kind=hooded grade=clean"
     show.add_argument("--where", nargs="+", default=[], metavar="NAME=VALUE", help=conditions)
     show.add_argument(
@@ -105,6 +108,7 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
     from gcd_dataset.records import Sample
     from gcd_dataset.viewer.content import content_of
     from gcd_dataset.viewer.garments import NO_BODY, published_content
+    from gcd_dataset.viewer.maps import maps_sheet, require_maps
     from gcd_dataset.viewer.page import page_of
 
     published = _published(options)
@@ -114,14 +118,16 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
         if names_a_file(options.what):
             position_of(options, 1)
         subject = pattern_of(options) if names_a_file(options.what) else sample_of(options)
+    draw = maps_sheet if options.maps else sample_sheet
+    require_maps(not options.maps or (isinstance(subject, Sample) and subject.maps is not None), options.what)
     if options.png is not None:
-        picture = sample_sheet(subject) if isinstance(subject, Sample) else draw_pattern(subject)
+        picture = draw(subject) if isinstance(subject, Sample) else draw_pattern(subject)
         write_whole(options.png, png_bytes(picture))
     if options.svg is not None:
         write_whole(options.svg, pattern_svg(subject.pattern if isinstance(subject, Sample) else subject))
     if options.html is not None:
         content = content_of(subject) if published is None else published_content(published, options.index)
-        write_whole(options.html, page_of(content).encode())
+        write_whole(options.html, page_of(content, maps=options.maps).encode())
         if problem := dict(content.tables.get("Recipe", ())).get(NO_BODY):
             print(f"gcd show: {problem}", file=sys.stderr)
     print(*given.values(), sep="\n")
@@ -137,12 +143,13 @@ def _sheet(options: argparse.Namespace) -> int:
     from gcd_dataset.exports.inputs import require_suffix
     from gcd_dataset.files import write_whole
     from gcd_dataset.generator.drawing import captioned, contact_sheet, jpeg_bytes, png_bytes
+    from gcd_dataset.viewer.maps import with_legend
 
     is_png = require_suffix(options.sheet, ".jpg", ".jpeg", ".png").suffix.lower() == ".png"
     album = _album(options)
     chosen = _chosen(options, album)
     columns = math.ceil(math.sqrt(len(chosen)))
-    size, tiles, faults = min(LARGEST_TILE, SHEET_WIDTH // columns), [], 0
+    size, tiles, faults = min(LARGEST_TILE, SHEET_WIDTH // columns // 2 * 2), [], 0
     for position in chosen:
         try:
             picture = album.picture(position, size)
@@ -150,7 +157,9 @@ def _sheet(options: argparse.Namespace) -> int:
             print(f"gcd show: {error}", file=sys.stderr)
             picture, faults = np.full((size, size, 3), 255, np.uint8), faults + 1
         tiles.append(captioned(picture, album.key(position)))
-    write_whole(options.sheet, (png_bytes if is_png else jpeg_bytes)(contact_sheet(tiles, columns=columns)))
+    sheet = contact_sheet(tiles, columns=columns)
+    sheet = with_legend(sheet) if options.maps else sheet
+    write_whole(options.sheet, (png_bytes if is_png else jpeg_bytes)(sheet))
     print(f"{options.sheet}: {len(chosen)} of {len(album)} garments")
     return 1 if faults else 0
 
@@ -181,9 +190,11 @@ def _chosen(options: argparse.Namespace, album: "Album") -> list[int]:
 def _serve(options: argparse.Namespace) -> int:
     """The viewer, until it is interrupted."""
     from gcd_dataset.viewer.garments import SpecAlbum
+    from gcd_dataset.viewer.maps import require_maps
     from gcd_dataset.viewer.server import Gallery, serve
 
     if options.design is not None:
+        require_maps(not options.maps, "--design")
         site: ShownDesign | Gallery = _design(options)
     else:
         album = _album(options)
@@ -202,19 +213,20 @@ def _serve(options: argparse.Namespace) -> int:
 def _album(options: argparse.Namespace) -> "Album":
     from gcd_dataset.shards.store import is_set
     from gcd_dataset.viewer.garments import PublishedAlbum, ShardAlbum, spec_album
+    from gcd_dataset.viewer.maps import require_maps
 
     folder = Path(options.what)
     if options.truth is not None and is_set(folder):
         raise ConfigError(f"{folder}: a data set: give predictions, specification files, and the data set as --truth")
-    if options.truth is not None:
-        return spec_album(folder, _truth(options))
-    published = _published(options)
+    published = _published(options) if options.truth is None else None
+    is_no_set = "://" not in options.what and folder.is_dir() and not is_set(folder)
+    is_spec = options.truth is not None or names_a_file(options.what) or (is_no_set and any(folder.glob("*.json")))
+    require_maps(not options.maps or (published is None and not is_spec), options.what)
     if published is not None:
         return PublishedAlbum(published, options.what)
-    is_no_set = "://" not in options.what and folder.is_dir() and not is_set(folder)
-    if names_a_file(options.what) or (is_no_set and any(folder.glob("*.json"))):
-        return spec_album(folder)
-    return ShardAlbum(reader_of(options.what, options), options.what)
+    if is_spec:
+        return spec_album(folder, None if options.truth is None else _truth(options))
+    return ShardAlbum(reader_of(options.what, options), options.what, maps=options.maps)
 
 
 def _truth(options: argparse.Namespace) -> "Path | ShardReader":

@@ -210,7 +210,7 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
         "mesh.z": pack(_mesh_arrays(mesh or NO_MESH, tensor), MESH_CODINGS),
         "verts.z": pack({"verts": vertices}, {"verts": POSITION}),
         "points.z": _points(sample.points),
-        **({} if sample.maps is None else {MAPS: pack({f: _half(getattr(sample.maps, f)) for f in ARRAYS[MAPS]})}),
+        **({} if sample.maps is None else {MAPS: pack({f: _half(a) for f, a in sample.maps.by_vertex.items()})}),
     }
 
 

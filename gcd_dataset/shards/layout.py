@@ -185,9 +185,9 @@ def select_fields(fields: Iterable[str] | None, available: Iterable[str] = FIELD
         return known
     requested = {fields} if isinstance(fields, str) else set(fields)
     if unknown := sorted(requested - set(known)):
-        raise ConfigError(
-            f"no field {', '.join(unknown)}: there are {', '.join(known)}{did_you_mean(unknown[0], known)}"
-        )
+        nearest = did_you_mean(unknown[0], known)
+        remedy = "; gcd generate --maps stores maps" if unknown[0] in ARRAYS[MAPS] else nearest
+        raise ConfigError(f"no field {', '.join(unknown)}: there are {', '.join(known)}{remedy}")
     return tuple(field for field in known if field in requested)
 
 

@@ -31,8 +31,8 @@ class Content(Record):
     draped: Float[np.ndarray, "v 3"] | None = None
     """Positions at rest [cm], in the order of the mesh."""
     body: Body | None = None
-    stretch: Float[np.ndarray, " f"] | None = None
-    """The larger principal stretch of each face; 1 is unstretched."""
+    values: Mapping[str, Float[np.ndarray, " v"]] = field(default_factory=dict)
+    """``stretch``, the larger principal stretch, of a drape; of one with maps also ``gap`` and ``pressure``."""
     crossed: Int[np.ndarray, " n"] | None = None
     """Ends of the mesh edges that cross the cloth or the body; ``None`` without a drape."""
     caption: str = ""
@@ -79,7 +79,7 @@ def _of_sample(sample: Sample, body: Body | None) -> Content:
         mesh=mesh,
         draped=drape.vertices if drape is not None and is_finite else None,
         body=body,
-        stretch=_stretch(mesh, drape) if is_finite else None,
+        values=_values(sample) if is_finite else {},
         crossed=_crossed(mesh, drape, body) if is_finite else None,
         caption=sample.caption or "",
         views=tuple(view.picture for view in sample.views if view.picture),
@@ -132,10 +132,21 @@ def _wearer(legs_apart: bool) -> tuple[Body, Measurements]:
     return body, measurements
 
 
-def _stretch(mesh: BoxMesh | None, drape: Drape | None) -> Float[np.ndarray, " f"] | None:
+def vertex_stretch(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, " v"]:
+    """The larger principal stretch of each vertex: the mean over its faces."""
     from gcd_dataset.generator.quality import principal_stretches
 
-    return None if mesh is None or drape is None else principal_stretches(mesh, drape.vertices)[:, 0]
+    corners, stretch = mesh.faces.ravel(), principal_stretches(mesh, vertices)[:, 0]
+    sums, counts = (np.bincount(corners, weights, len(vertices)) for weights in (np.repeat(stretch, 3), None))
+    return sums / np.maximum(counts, 1)
+
+
+def _values(sample: Sample) -> dict[str, Float[np.ndarray, " v"]]:
+    """See ``Content.values``."""
+    if sample.maps is not None:
+        return {**sample.maps.by_vertex, "stretch": sample.maps.stretch[:, 0]}
+    mesh, drape = sample.box_mesh, sample.drape
+    return {} if mesh is None or drape is None else {"stretch": vertex_stretch(mesh, drape.vertices)}
 
 
 def _crossed(mesh: BoxMesh | None, drape: Drape | None, body: Body | None) -> Int[np.ndarray, " n"] | None:

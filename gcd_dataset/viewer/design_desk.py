@@ -14,7 +14,7 @@ from gcd_dataset.generator.garments.parameter import Integer, Real, plain
 from gcd_dataset.generator.garments.space import DesignSpace, leaves, value_at
 from gcd_dataset.measurements import ANGLES, MEASURES, Measurements
 from gcd_dataset.records import Body, Pattern
-from gcd_dataset.viewer.content import Content, crossing_vertices
+from gcd_dataset.viewer.content import Content, crossing_vertices, vertex_stretch
 
 COARSE = 3.0  # cm, of the mesh that is draped on request
 DRESS: Mapping[str, Any] = {"meta": {"upper": "FittedShirt", "bottom": "SkirtCircle"}}
@@ -106,7 +106,6 @@ class Desk:
         from gcd_dataset.generator.dressing import dress
         from gcd_dataset.generator.dressing.hold_edges import has_legs
         from gcd_dataset.generator.mesh import build_box_mesh
-        from gcd_dataset.generator.quality import principal_stretches
 
         drawing, size = self.draw(values, measures), self._size(measures)
         if drawing.pattern is None:
@@ -122,7 +121,7 @@ class Desk:
             mesh,
             draped=drape.vertices,
             body=body,
-            stretch=principal_stretches(mesh, drape.vertices)[:, 0],
+            values={"stretch": vertex_stretch(mesh, drape.vertices)},
             crossed=crossing_vertices(placed, mesh.faces, body),
             outcome=drape.outcome,
         )

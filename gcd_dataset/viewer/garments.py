@@ -23,13 +23,15 @@ from gcd_dataset.errors import (
     shown,
 )
 from gcd_dataset.faults import require_valid
-from gcd_dataset.generator.drawing import draw_pattern, picture_of
+from gcd_dataset.generator.drawing import contact_sheet, draw_pattern, picture_of
 from gcd_dataset.records import EdgeRef, Pattern, Sample
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.index import GRADES
+from gcd_dataset.shards.layout import MAPS
 from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.spec import pattern_name, read_pattern
 from gcd_dataset.viewer.content import Content, body_of, content_of
+from gcd_dataset.viewer.maps import map_pictures, require_maps
 from gcd_dataset.viewer.page import page_of
 
 if TYPE_CHECKING:
@@ -159,8 +161,10 @@ class ShardAlbum(Album):
     Tags of a local data set are read all at once; of a remote one ``REQUESTED`` at a time, since each takes a request.
     """
 
-    def __init__(self, reader: ShardReader, title: str) -> None:
-        self.title = title
+    def __init__(self, reader: ShardReader, title: str, *, maps: bool = False) -> None:
+        """``maps``: show garments in the colours of their maps. Raises ``ConfigError`` for a data set without maps."""
+        require_maps(not maps or MAPS in reader.layout.members, title)
+        self.title, self._maps = title, maps
         self.waits = not isinstance(reader.store, FolderStore)
         self._reader, self._count = reader, len(reader)
         self._positions: dict[tuple[str, str], list[Int[np.ndarray, " m"]]] = {}
@@ -179,10 +183,11 @@ class ShardAlbum(Album):
         return self._reader.key(position)
 
     def page(self, position: int, side: int = 0) -> str:
-        return page_of(content_of(self._reader.sample(position)))
+        return page_of(content_of(self._reader.sample(position)), maps=self._maps)
 
     def picture(self, position: int, size: int) -> UInt8[np.ndarray, "h w 3"]:
-        return _front(self._reader.sample(position), size)
+        """As in ``Album``; with maps the front in four colourings."""
+        return _front(self._reader.sample(position), size, maps=self._maps)
 
     def facets(self) -> Facets:
         counts = np.bincount(self._grade, minlength=len(GRADES)).tolist()
@@ -430,14 +435,17 @@ def _patterns_of(reader: ShardReader) -> dict[str, Source]:
     return {key: partial(lambda i: reader.sample(i).pattern, position) for position, key in enumerate(keys)}
 
 
-def _front(garment: Sample | Pattern, size: int) -> UInt8[np.ndarray, "h w 3"]:
+def _front(garment: Sample | Pattern, size: int, *, maps: bool = False) -> UInt8[np.ndarray, "h w 3"]:
     if isinstance(garment, Pattern):
         return draw_pattern(garment, size=size)
-    if garment.front:
+    if garment.front and not maps:
         return picture_of(garment.front, size)
     mesh, drape, body = garment.box_mesh, garment.drape, body_of(garment)
     if mesh is None or drape is None or body is None or not np.isfinite(drape.vertices).all():
         return draw_pattern(garment.pattern, size=size)
+    if maps:
+        half = size // 2
+        return contact_sheet([_front(garment, half), *map_pictures(garment, size=half)], columns=2, gap=0)
     from gcd_dataset.generator.render import render_garment
 
     return render_garment(drape.vertices, mesh, body, size=size)[0]

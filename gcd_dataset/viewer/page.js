@@ -26,36 +26,24 @@ function themeColours() {
   };
 }
 
-const COLD = [0.17, 0.42, 0.72];
-const HOT = [0.84, 0.15, 0.16];
-const EVEN = [0.93, 0.92, 0.89];
+const HOT = [214, 38, 41];
 
-/** Colour of a stretch: blue below 1, pale at 1, red from 1 + range. */
-function stretchColour(stretch) {
-  const t = clamp((stretch - 1) / data.stretchRange, -1, 1);
-  return mix3(EVEN, t < 0 ? COLD : HOT, Math.sqrt(Math.abs(t)));
-}
-
-function paintRamp() {
-  const stops = [];
-  for (let i = 0; i <= 16; i++) {
-    const colour = stretchColour(1 + data.stretchRange * (i / 8 - 1)).map((part) => Math.round(255 * part));
-    stops.push(`rgb(${colour.join(",")})`);
-  }
-  $("ramp").style.background = `linear-gradient(90deg, ${stops.join(",")})`;
-}
-
-/** RGB bytes of each corner in a mode: panels, strain or crossings. */
+/** RGB bytes of each corner in a mode: panels, crossings, or one of the values of the cloth. */
 function cornerColours(garment, mode) {
   const bytes = new Uint8Array(3 * garment.count);
-  const neutral = themeColours().neutral;
+  const neutral = themeColours().neutral.map((part) => Math.round(255 * part));
   const crossed = new Set(mode === "crossings" && garment.crossed ? garment.crossed : []);
+  const scale = garment.values[mode];
+  const last = scale && scale.colours.length / 3 - 1;
   for (let i = 0; i < garment.count; i++) {
-    const colour =
-      mode === "strain" ? stretchColour(garment.stretch[i])
-      : mode === "crossings" ? (crossed.has(garment.vertexOf[i]) ? HOT : neutral)
-      : garment.panels[garment.panelOf[i]].colour.map((part) => part / 255);
-    for (let k = 0; k < 3; k++) bytes[3 * i + k] = Math.round(255 * colour[k]);
+    const vertex = garment.vertexOf[i];
+    let colour = garment.panels[garment.panelOf[i]].colour;
+    if (mode === "crossings") colour = crossed.has(vertex) ? HOT : neutral;
+    if (scale) {
+      const level = Math.round(last * clamp((scale.of[vertex] - scale.low) / (scale.high - scale.low), 0, 1));
+      colour = scale.colours.subarray(3 * level, 3 * level + 3);
+    }
+    bytes.set(colour, 3 * i);
   }
   return bytes;
 }
@@ -421,7 +409,6 @@ function prepareControls() {
       changed();
     });
   }
-  paintRamp();
   $("reset").addEventListener("click", resetCamera);
 }
 
@@ -489,7 +476,7 @@ async function startPicture() {
   prepareCanvas(picture.canvas);
   prepareControls();
   setStage(picture.garment.last);
-  setColours("panels");
+  setColours(data.colours);
   new ResizeObserver(redraw).observe(picture.canvas);
 }
 

@@ -22,15 +22,13 @@ from gcd_dataset.generator.lay_plan import PALETTE, PLAIN_EDGE, LayPlan, SheetPa
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BoxMesh, EdgeRef, Outcome, Pattern, Seam
 from gcd_dataset.viewer.content import Content
+from gcd_dataset.viewer.maps import SCALES
 from gcd_dataset.viewer.notebook import asset, inline_svg, picture, script_data, table
 
 SCRIPTS = ("geometry.js", "scale.js", "garment.js", "picture.js", "page.js")
 LEVELS = 65535  # steps of a quantised coordinate: 0.003 cm for a garment of 2 m
 COMPRESSION = 6  # of zlib: level 9 takes three times as long and saves 0.3 %
 KEPT_MESHES = 2  # bodies' faces, packed
-STRETCH_STEP = 0.001
-LARGEST_RANGE, SMALLEST_RANGE = 0.5, 0.05  # of the colours of strain, to both sides of 1
-FACES_OUTSIDE_RANGE = 2.0  # percent of the faces that may be stretched beyond the range of the colours
 LIGHTENING = 0.15  # share of white in the colours of panels
 FOOTER = (
     "Drag to turn the garment, right button or two fingers to move it, wheel or pinch to zoom either view. A click "
@@ -39,8 +37,8 @@ FOOTER = (
 HINT = "Point at a panel or a seam"
 
 
-def page_of(content: Content) -> str:
-    """The page as HTML text, to write as UTF-8."""
+def page_of(content: Content, *, maps: bool = False) -> str:
+    """The page as HTML text, to write as UTF-8; with ``maps`` it opens in the colours of stretch."""
     mesh, plan = content.mesh, lay_out(content.pattern)
     script = "".join(map(asset, SCRIPTS))
     parts = {
@@ -55,7 +53,7 @@ def page_of(content: Content) -> str:
         "tables": "".join(_table(title, rows) for title, rows in content.tables.items() if rows),
         "footer": FOOTER,
         "style": asset("page.css"),
-        "data": script_data(_data(content, plan)),
+        "data": script_data({**_data(content, plan), "colours": "stretch" if maps and content.values else "panels"}),
         "script": script,
         "script_hash": f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}",
     }
@@ -96,21 +94,33 @@ def _option(value: str, text: str) -> str:
 
 def _view(content: Content) -> str:
     stages = ("Flat", "Placed", "Draped")[: 2 if content.draped is None else 3]
-    limit = _stretch_range(content)
     parts = {
-        "no_strain": "" if content.stretch is not None else " disabled",
+        "scales": "".join(map(_choice, content.values)),
         "no_crossings": "" if content.crossed is not None else " disabled",
         "body_switch": ""
         if content.body is None
         else '      <label class="check"><input type="checkbox" id="body" checked>Body</label>\n',
-        "strain_low": f"−{limit:.0%}",
-        "strain_high": f"+{limit:.0%}",
+        "legends": "".join(map(_legend, content.values)),
         "crossings": '<i class="dot"></i>cloth that crosses itself or the body'
         if content.crossed is not None and len(content.crossed)
         else "the cloth crosses neither itself nor the body",
         "stops": "".join(f'<button type="button" data-stage="{i}">{name}</button>' for i, name in enumerate(stages)),
     }
     return _filled(asset("view.html"), parts)
+
+
+def _choice(name: str) -> str:
+    choice = f'<input type="radio" name="colours" value="{name}"><span>{name.capitalize()}</span>'
+    return f"        <label>{choice}</label>\n"
+
+
+def _legend(name: str) -> str:
+    scale = SCALES[name]
+    ramp = ",".join("rgb({},{},{})".format(*colour) for colour in scale.colours[::32])
+    bar = f'<i class="ramp" style="background:linear-gradient(90deg,{ramp})"></i>'
+    marks = "".join(f"<span>{mark}</span>" for mark in scale.marks)
+    text = f'{scale.title}{bar}<span class="ends">{marks}</span>'
+    return f'      <div class="legend" data-legend="{name}" hidden>{text}</div>\n'
 
 
 def _pictures(content: Content) -> str:
@@ -137,7 +147,6 @@ def _data(content: Content, plan: LayPlan) -> dict[str, Any]:
         "panels": [_panel_data(piece) for piece in plan.panels],
         "seams": list(_seam_data(content.pattern)),
         "plainEdge": PLAIN_EDGE,
-        "stretchRange": _stretch_range(content),
         "mesh": None if content.mesh is None else _mesh_data(content, content.mesh, plan),
         "body": None
         if content.body is None
@@ -198,7 +207,15 @@ def _mesh_data(content: Content, mesh: BoxMesh, plan: LayPlan) -> dict[str, Any]
         "panelOf": _packed(panel_of[:, None]),
         "segments": _packed(segments),
         "segmentSeam": _packed(seams[:, None]),
-        "stretch": None if content.stretch is None else _stretch_of_corners(mesh, content.stretch),
+        "values": {
+            name: {
+                "of": _coordinates(values[:, None]),
+                "low": SCALES[name].low,
+                "high": SCALES[name].high,
+                "colours": _packed(SCALES[name].colours),
+            }
+            for name, values in content.values.items()
+        },
         "crossed": None if content.crossed is None else _packed(np.asarray(content.crossed)[:, None]),
         "sheetSize": [round(plan.width, 3), round(plan.height, 3)],
         "floor": None if content.body is None else float(content.body.vertices[:, 1].min()),
@@ -236,22 +253,6 @@ def _dense(line: Float[np.ndarray, "n 2"], spacing: float = 0.25) -> Float[np.nd
     count = max(3, int(np.ceil(along[-1] / spacing)))
     at = (np.arange(count) + 0.5) / count * along[-1]
     return np.stack([np.interp(at, along, line[:, 0]), np.interp(at, along, line[:, 1])], axis=1)
-
-
-def _stretch_of_corners(mesh: BoxMesh, stretch: Float[np.ndarray, " f"]) -> dict[str, Any]:
-    """The mean stretch of the faces round each corner."""
-    sums = np.bincount(mesh.corners.ravel(), np.repeat(stretch, 3), len(mesh.uv))
-    counts = np.bincount(mesh.corners.ravel(), minlength=len(mesh.uv))
-    steps = np.round(np.clip(sums / np.maximum(counts, 1), 0.0, LEVELS * STRETCH_STEP) / STRETCH_STEP)
-    return {**_packed(steps.astype(int)[:, None]), "low": [0.0], "step": STRETCH_STEP}
-
-
-def _stretch_range(content: Content) -> float:
-    """Stretch minus 1 at the ends of the colours."""
-    if content.stretch is None:
-        return SMALLEST_RANGE
-    beyond = float(np.percentile(np.abs(np.asarray(content.stretch) - 1.0), 100.0 - FACES_OUTSIDE_RANGE))
-    return float(np.clip(np.ceil(20.0 * beyond) / 20.0, SMALLEST_RANGE, LARGEST_RANGE))
 
 
 def _coordinates(points: Float[np.ndarray, "n k"]) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Rendering of batches: scenes and views in, pictures and truths out; a GPU works in the background."""
 
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
@@ -17,7 +18,7 @@ from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import cast, prepare, truths
 from gcd_dataset.generator.render.kernels.records import ClothRow, Shot
 from gcd_dataset.generator.render.packing import Materials, pack_views
-from gcd_dataset.generator.render.pictures import BACKGROUND, MapName, Picture, View
+from gcd_dataset.generator.render.pictures import BACKGROUND, VERTEX_MAPS, MapName, Picture, View
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.render.uploading import Block, StagingBuffers, Uploaded, add_scenes, upload, wrapped
 
@@ -30,11 +31,12 @@ MAP_TYPES: dict[str, tuple[type, int, float]] = {
     "part": (np.uint8, 0, BACKGROUND),
     "panel_id": (np.int16, 0, -1),
     "seam": (np.int16, 0, -1),
-    "uv": (np.float32, 2, np.nan),
     "silhouette": (np.uint8, 0, 0),
     "lit": (np.uint8, 0, 0),
 }
 """Type, channels and background of each map, in the order of the kernel's arguments."""
+VALUES: dict[str, tuple[int, ...]] = {"uv": (2,), "stretch": (2,), "gap": (), "pressure": ()}
+"""Channels of each map that is interpolated from the corners of a face; NaN off the garment."""
 WARP_TYPES: dict[type, Any] = {np.float32: wp.float32, np.uint8: wp.uint8, np.int16: wp.int16}
 
 
@@ -104,6 +106,7 @@ class PendingPictures:
         used = sorted({view.scene for view in views})
         block = Block(self._staging)
         starts = add_scenes(block, [scenes[row] for row in used], rgb_only=rgb_only)
+        block.add("value", wp.float32, *(_corner_values(scenes[row], maps) for row in used))
         materials = pack_views(views, scenes, {row: k for k, row in enumerate(used)})
         self._add_views(block, materials)
         block.fill()
@@ -140,6 +143,8 @@ class PendingPictures:
             self._kept = None  # frees the meshes
         self._staging.release()
         results, self._results = self._results, {}
+        if "values" in results:
+            results |= _by_name(results.pop("values"), self._maps)
         return results
 
     def _finished(self, results: Mapping[str, np.ndarray]) -> Iterator[Picture]:
@@ -208,6 +213,30 @@ def _check(scenes: Sequence[Scene], views: Sequence[View], size: int, maps: Sequ
     for number, view in enumerate(views):
         if not 0 <= view.scene < len(scenes):
             raise ConfigError(f"view {number} is of scene {view.scene}: there are {len(scenes)}, counted from 0")
+        for name in (name for name in maps if name in VERTEX_MAPS):
+            garment = scenes[view.scene]
+            if np.shape(garment.values.get(name, ())) != (len(garment.vertices), *VALUES[name]):
+                raise ConfigError(
+                    f"scene {view.scene} has no {name} of each vertex: give it values, as of Maps.by_vertex"
+                )
+
+
+def _corner_values(scene: Scene, maps: Sequence[MapName]) -> Float[np.ndarray, "c n"]:
+    """The channels of the maps in ``VALUES`` at each row of ``uv``, in the order of ``maps``."""
+    columns = [scene.uv if name == "uv" else scene.values[name][scene.uv_vertex] for name in maps if name in VALUES]
+    return np.column_stack([np.zeros((len(scene.uv), 0)), *columns])
+
+
+def _by_name(values: Float[np.ndarray, "s h w n"], maps: Sequence[MapName]) -> dict[str, np.ndarray]:
+    """Views of the channels of each map in ``VALUES``, in the order of ``maps``."""
+    found: dict[str, np.ndarray] = {}
+    begin = 0
+    for name in maps:
+        if name in VALUES:
+            end = begin + math.prod(VALUES[name])
+            found[name] = values[..., begin:end].reshape(values.shape[:-1] + VALUES[name])
+            begin = end
+    return found
 
 
 def _batches(views: Sequence[View], size: int) -> Iterator[list[int]]:
@@ -276,6 +305,9 @@ def _truths(up: Uploaded, shots: wp.array, maps: Sequence[MapName], size: int, d
         shape = (*pixels, channels) if channels else pixels
         arrays[name] = wp.full(shape, WARP_TYPES[kind](background), dtype=WARP_TYPES[kind], device=device)
     rays = (len(shots), size, size)
+    wanted.channels = channels = sum(math.prod(VALUES[name]) for name in maps if name in VALUES)
+    shape = (*rays, channels) if channels else (1, 1, 1, 1)
+    arrays["values"] = wp.full(shape, np.nan, dtype=wp.float32, device=device)
     inputs = [up.scenes, shots, wanted, size]
     wp.launch(truths.see_centres, rays, inputs=inputs, outputs=list(arrays.values()), device=device)
-    return {name: arrays[name] for name in maps}
+    return {name: array for name, array in arrays.items() if name in maps or (name == "values" and channels)}

@@ -28,9 +28,13 @@ from gcd_dataset.generator.render.scene import HairStyle, Scene
 from gcd_dataset.records import Record
 from gcd_dataset.seeding import Stage, rng
 
-MapName = Literal["depth", "normals", "part", "panel_id", "seam", "uv", "silhouette", "lit"]
-MAPS: tuple[MapName, ...] = get_args(MapName)
-"""The maps that ``render`` can return; each describes the surface at the centre of a pixel."""
+SceneMap = Literal["depth", "normals", "part", "panel_id", "seam", "uv", "silhouette", "lit"]
+VertexMap = Literal["stretch", "gap", "pressure"]
+MapName = Literal[SceneMap, VertexMap]
+MAPS: tuple[MapName, ...] = get_args(SceneMap)
+"""The maps that ``render`` can return for any scene; each describes the surface at the centre of a pixel."""
+VERTEX_MAPS: tuple[MapName, ...] = get_args(VertexMap)
+"""The maps of ``Scene.values``, interpolated from the corners of the face at the centre of a pixel."""
 BACKGROUND = 255
 """Value of ``part`` where there is neither body nor garment."""
 GARMENT = 32
@@ -60,7 +64,10 @@ class PlainView(View):
 
 @dataclass(frozen=True, eq=False)
 class Picture(Record):
-    """A picture and its truths. Pixels of the background hold 0 depth, 0 normal, -1 panel and seam, NaN uv."""
+    """A picture and its truths.
+
+    Pixels of the background hold 0 depth, 0 normal, -1 panel and seam, NaN uv, stretch, gap and pressure.
+    """
 
     rgb: UInt8[np.ndarray, "h w 3"]
     """sRGB."""
@@ -69,13 +76,14 @@ class Picture(Record):
     extrinsics: Float[np.ndarray, "3 4"]
     """[R | t], world to camera [1, cm]."""
     maps: Mapping[str, Shaped[np.ndarray, "h w *channels"]] = field(default_factory=dict)
-    """By the names in ``MAPS``:
+    """By the names in ``MAPS`` and ``VERTEX_MAPS``:
 
     ``depth`` float32, along the optical axis [cm]; ``normals`` float32 (h, w, 3), in camera axes, towards the camera;
     ``part`` uint8, ``BodyPart`` value, ``GARMENT``, ``HAIR`` or ``BACKGROUND``; ``panel_id`` int16; ``seam`` int16, row
     of the pattern's seams on pixels that a seam line covers, -2 on hems; ``uv`` float32 (h, w, 2), panel plane [cm];
     ``silhouette`` uint8, 255 where the pixel's centre is covered by garment, hair or body; ``lit`` uint8, 255 where
-    that point sees the middle of the key light, whatever the cloth between them.
+    that point sees the middle of the key light, whatever the cloth between them; ``stretch`` float32 (h, w, 2), ``gap``
+    [cm] and ``pressure`` [kPa] float32: ``records.Maps``.
     """
     panel_corners: Int[np.ndarray, "k 2"] = field(default_factory=lambda: np.zeros((0, 2), int))
     """(panel, corner) of each row of ``corner_pixels``."""

@@ -49,6 +49,8 @@ class Scene(Record):
     landmarks: Mapping[str, Float[np.ndarray, "3"]] = field(default_factory=dict)
     """Landmarks of the body by name [cm]."""
     hair: HairStyle = HairStyle.NONE
+    values: Mapping[str, Float[np.ndarray, "v *channels"]] = field(default_factory=dict)
+    """``stretch``, ``gap`` and ``pressure`` of each vertex, as in ``records.Maps``, for the maps of these names."""
 
     @property
     def parts(self) -> UInt8[np.ndarray, " v"]:
@@ -130,7 +132,8 @@ def scene_of_sample(sample: Sample, body: Body, *, hair: HairStyle = HairStyle.N
     """The scene of a draped sample on its body. Raises ``ConfigError`` for a sample without a drape."""
     if sample.box_mesh is None or sample.drape is None:
         raise ConfigError(f"{sample.key} is not draped: make it with stage drape to render it")
-    return scene_of(sample.box_mesh, sample.drape.vertices, body, pattern=sample.pattern, hair=hair)
+    scene = scene_of(sample.box_mesh, sample.drape.vertices, body, pattern=sample.pattern, hair=hair)
+    return scene if sample.maps is None else replace(scene, values=sample.maps.by_vertex)
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers

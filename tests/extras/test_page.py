@@ -52,7 +52,9 @@ def content() -> Content:
     body = replace(body, vertices=body.vertices * [0.4, 1.0, 0.4])
     sample = fake_sample(3, 1, fineness=3)
     assert sample.box_mesh is not None
-    return replace(content_of(sample, body), crossed=np.arange(12), tags=("skirt",), caption="A skirt.")
+    content, gap = content_of(sample, body), np.linspace(0.0, 20.0, len(sample.box_mesh.vertices))
+    values = {**content.values, "gap": gap}
+    return replace(content, values=values, crossed=np.arange(12), tags=("skirt",), caption="A skirt.")
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +225,7 @@ def test_the_body_goes_and_comes_back(opened: Opened) -> None:
     assert np.abs(opened.view() - with_body).max() < 8
 
 
-@pytest.mark.parametrize("mode", ["strain", "crossings"])
+@pytest.mark.parametrize("mode", ["stretch", "gap", "crossings"])
 def test_colours_change_with_their_legend(opened: Opened, mode: str) -> None:
     before = opened.view()
     opened.page.locator(f"input[value={mode}]").check()
@@ -338,7 +340,7 @@ def test_a_hostile_name_is_shown_as_text(browser: Any, content: Content, tmp_pat
 
 
 def test_a_garment_without_a_drape_ends_at_the_placed_panels(browser: Any, content: Content, tmp_path: Path) -> None:
-    placed = replace(content, draped=None, stretch=None, crossed=None, outcome=None, body=None)
+    placed = replace(content, draped=None, values={}, crossed=None, outcome=None, body=None)
     opened = Opened(browser, placed, tmp_path).ready()
     assert opened.page.locator("#stage").get_attribute("max") == "1"
     assert content.mesh is not None
@@ -370,7 +372,7 @@ def test_a_browser_without_webgl_says_so_and_shows_the_rest(browser: Any, conten
     ("asked", "expected"),
     [
         (
-            {"yaw": 0.5, "zoom": 2.0, "stage": 1, "colours": "strain", "body": False},
+            {"yaw": 0.5, "zoom": 2.0, "stage": 1, "colours": "stretch", "body": False},
             {"yaw": 0.5, "zoom": 2.0, "stage": 1},
         ),
         (

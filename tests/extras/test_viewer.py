@@ -156,7 +156,7 @@ def test_hover_lights_both_views_and_the_view_stays_at_the_next_garment(browser:
         page.mouse.down()
         page.mouse.move(x + 80, y, steps=3)
         page.mouse.up()
-        first.locator("input[value=strain]").check()
+        first.locator("input[value=stretch]").check()
         first.locator("#stage").fill("1.25")
         first.locator("#scheme").click()
         view = first.evaluate("structuredClone(gcdPage.state)")
@@ -189,7 +189,7 @@ def test_the_next_garment_is_drawn_before_it_is_asked_for(browser: Any, garments
 
 def test_published_data_opens_by_its_folder(browser: Any, tmp_path: Path) -> None:
     root = publish(tmp_path)
-    options = argparse.Namespace(what=str(root), split="train", truth=None, endpoint=None, index=0)
+    options = argparse.Namespace(what=str(root), split="train", truth=None, endpoint=None, index=0, maps=False)
     with opened(browser, Gallery(_album(options))) as page:
         expect = sync_api.expect
         expect(page.locator("#status")).to_have_text("1 of 4")

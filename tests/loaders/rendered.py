@@ -13,7 +13,7 @@ from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.pipeline import finish, prepare, view_requests
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders.base import Item
-from gcd_dataset.records import Drape, Outcome, Sample
+from gcd_dataset.records import Drape, Maps, Outcome, Sample
 from gcd_dataset.shards import ShardWriter
 from gcd_dataset.shards.layout import garments_layout
 
@@ -44,13 +44,25 @@ def samples(count: int, config: MakeConfig = CONFIG) -> list[Sample]:
     return [sample_of(reply, config) for reply in replies]
 
 
+def write_mapped(folder: Path, made: Sequence[Sample]) -> Path:
+    """Garments whose gap is the height of the cloth [cm], and whose pressure is 0."""
+    mapped = []
+    for sample in made:
+        assert sample.drape is not None
+        height = sample.drape.vertices[:, 1]
+        mapped.append(replace(sample, maps=Maps(np.stack([height, -height], axis=1), height, 0.0 * height, 1.0)))
+    return write(folder, mapped, replace(CONFIG, maps=True))
+
+
 def sample_of(reply: DrapeReply, config: MakeConfig = CONFIG) -> Sample:
     design = prepare(SEED, reply.number, replace(config, stage="mesh", views=0))
     return finish(design, reply.number, config, reply)
 
 
 def write(folder: Path, made: Sequence[Sample], config: MakeConfig = CONFIG) -> Path:
-    with ShardWriter(folder, seed=SEED, recipe=recipe_of(config), layout=garments_layout(views=config.views)) as writer:
+    with ShardWriter(
+        folder, seed=SEED, recipe=recipe_of(config), layout=garments_layout(maps=config.maps, views=config.views)
+    ) as writer:
         for sample in made:
             writer.write(sample)
     return folder

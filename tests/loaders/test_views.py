@@ -19,6 +19,7 @@ from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.generator.body import build_body
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.render import MAPS, AppearanceRanges, CameraRanges, LightRanges, PrintKind
+from gcd_dataset.generator.render.pictures import VERTEX_MAPS
 from gcd_dataset.loaders import (
     VIEW_FIELDS,
     Augmented,
@@ -39,7 +40,7 @@ from gcd_dataset.loaders import (
 )
 from gcd_dataset.records import Sample
 from gcd_dataset.shards import ShardReader
-from tests.loaders.rendered import COUNT, SEED, SIZE
+from tests.loaders.rendered import COUNT, SEED, SIZE, write_mapped
 from tests.release.published import RELEASE, publish
 
 
@@ -156,6 +157,44 @@ def test_a_packed_batch_gives_each_garment_back(worn_folder: Path) -> None:
             for name, value in expected.items():
                 same = torch.equal if name != "uv_map" else partial(torch.allclose, equal_nan=True)
                 assert same(found[name], value) if isinstance(value, torch.Tensor) else found[name] == value
+
+
+@pytest.fixture(scope="module")
+def mapped(worn: list[Sample], tmp_path_factory: pytest.TempPathFactory) -> GarmentDataset:
+    folder = write_mapped(tmp_path_factory.mktemp("mapped"), worn)
+    return GarmentDataset(folder, fields=(*VIEW_FIELDS, "stretch", "gap", "pressure"))
+
+
+def test_maps_of_vertices_are_those_of_the_point_that_a_pixel_shows(mapped: GarmentDataset) -> None:
+    views, batches = small(n=2, maps=("depth", *VERTEX_MAPS)), []
+    for collate in (collate_packed, collate_padded, collate_list):
+        [batch] = views.batches(DataLoader(mapped, batch_size=COUNT, collate_fn=collate))
+        names = ("depth_map", "gap_map", "stretch_map", "pressure_map", "camera_k", "camera_rt")
+        is_list = isinstance(batch, list)
+        batches.append({name: torch.stack([g[name] for g in batch]) if is_list else batch[name] for name in names})
+    first = batches[0]
+    for name, value in first.items():
+        assert all(torch.equal(value.nan_to_num(-1.0), other[name].nan_to_num(-1.0)) for other in batches), name
+    row, column = torch.meshgrid(torch.arange(SIZE), torch.arange(SIZE), indexing="ij")
+    seen = (
+        torch.stack([column, row, torch.ones_like(row)]).reshape(3, -1).float()
+        * first["depth_map"].flatten(2)[:, :, None]
+    )
+    RT = first["camera_rt"]
+    points = RT[..., :3].mT @ (first["camera_k"].inverse() @ seen - RT[..., 3:])
+    height, gap = points[:, :, 1], first["gap_map"].flatten(2)
+    on_cloth = ~gap.isnan()
+    assert on_cloth.sum() > 1000
+    assert (gap - height)[on_cloth].abs().max() < 0.1  # float16 in shards
+    assert torch.equal(first["stretch_map"][..., 0].flatten(2)[on_cloth], gap[on_cloth])
+    assert (first["pressure_map"].flatten(2)[on_cloth] == 0.0).all()
+
+
+def test_maps_of_a_data_set_without_maps_are_refused(worn_folder: Path) -> None:
+    with pytest.raises(ConfigError, match=r"gcd_000000000 has no gap for maps of Views: .*gcd generate --maps"):
+        small(maps=("gap",))(dataset(worn_folder)[0])
+    with pytest.raises(ConfigError, match=r"no field gap: .*; gcd generate --maps"):
+        GarmentDataset(worn_folder, fields=(*VIEW_FIELDS, "gap"))
 
 
 def test_padding_of_invisible_corners_is_invisible(worn_folder: Path) -> None:
@@ -363,9 +402,9 @@ def test_the_programs_of_the_page_run(
     assert lines[0] == f"torch.Size([{COUNT}, 4, 32, 32, 3]) torch.Size([{COUNT}, 4, 32, 32])"
 
 
-def test_the_page_lists_every_entry_and_map(worn_folder: Path) -> None:
-    plain = dataset(worn_folder)[0]
-    entries = small(maps=MAPS)(plain).keys() - plain.keys()
+def test_the_page_lists_every_entry_and_map(mapped: GarmentDataset) -> None:
+    plain = mapped[0]
+    entries = small(maps=(*MAPS, *VERTEX_MAPS))(plain).keys() - plain.keys()
     table = PAGE.read_text().partition("## What a batch holds")[2].partition("##")[0]
     assert set(re.findall(r"^\| `(\w+)`", table, re.MULTILINE)) == entries
 

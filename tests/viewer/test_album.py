@@ -22,8 +22,9 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.loaders import PublishedGarmentCodeData
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Drape, EdgeRef, Grade, Outcome
+from gcd_dataset.records import Drape, EdgeRef, Grade, Maps, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards.layout import garments_layout
 from gcd_dataset.spec import write_pattern
 from gcd_dataset.viewer import garments
 from gcd_dataset.viewer.garments import Filter, PublishedAlbum, ShardAlbum, published_content, spec_album
@@ -149,6 +150,40 @@ def test_a_picture_is_the_stored_front_or_the_drape_rendered_or_the_pattern(tmp_
     body, _, _ = named_body("neutral")
     front, _ = render_garment(drape.vertices, made.box_mesh, body, size=64, device="cpu")
     assert np.abs(rendered.astype(int) - front).mean() < 1
+
+
+def test_maps_colour_the_cloth_alone_and_alike_where_nothing_stretches_or_presses_it(tmp_path: Path) -> None:
+    """Cloth 20 cm from the skin, as cut and without pressure: green in the picture of gaps, pale in the others."""
+    made = make(3, 0, MakeConfig(bodies="neutral", stage="mesh", resolution=8.0, design=SHORT))
+    assert made.box_mesh is not None
+    drape = Drape(made.box_mesh.vertices, Outcome.SETTLED, 10, 0, 0, 1.0, 1.0)
+    nothing = np.zeros(len(drape.vertices))
+    maps = Maps(np.ones((len(nothing), 2)), nothing + 20.0, nothing, 1.0)
+    with ShardWriter(tmp_path / "set", seed=0, recipe={}, layout=garments_layout(maps=True)) as writer:
+        writer.write(replace(made, drape=drape, maps=maps, provenance=replace(made.provenance, index=0)))
+    album = ShardAlbum(ShardReader(tmp_path / "set"), "shards", maps=True)
+    picture = album.picture(0, 128).astype(int)
+    stretch, gap, pressure = picture[:64, 64:], picture[64:, :64], picture[64:, 64:]
+    cloth = np.abs(gap - pressure).max(axis=2) > 60
+    assert 0.02 < cloth.mean() < 0.3
+    assert (gap[cloth][:, 1] > 1.2 * gap[cloth][:, 0]).all()
+    assert (stretch == pressure).all()
+    assert np.ptp(pressure[cloth], axis=1).max() < 40
+    for form in ("--png", "--sheet"):
+        assert main(["show", str(tmp_path / "set"), "--maps", form, str(tmp_path / "a.png")]) == 0
+        with Image.open(tmp_path / "a.png") as written:
+            assert written.height > 512
+
+
+@pytest.mark.parametrize("form", ["--png", "--html", "--sheet", ""])
+def test_maps_of_a_data_set_without_maps_are_refused(
+    form: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = [form, str(tmp_path / ("a.html" if form == "--html" else "a.png"))] if form else []
+    assert main(["show", str(folder), "--maps", *file]) == 2
+    assert capsys.readouterr().err.endswith(
+        "holds no maps of stretch, gap and pressure: gcd generate --maps stores them\n"
+    )
 
 
 def sheet_of(folder: Path, *options: str) -> tuple[int, tuple[int, int]]:
@@ -288,7 +323,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_release_is_recognised_beside_its_split_file(root: Path) -> None:
     """The split file of a release is JSON, and no specification."""
     for folder in (root, root.parent):
-        options = argparse.Namespace(what=str(folder), split="train", truth=None, endpoint=None, index=0)
+        options = argparse.Namespace(what=str(folder), split="train", truth=None, endpoint=None, index=0, maps=False)
         assert isinstance(_album(options), PublishedAlbum)
 
 

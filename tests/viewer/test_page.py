@@ -161,19 +161,29 @@ def test_stages_and_switches_are_those_of_the_content(content: Content) -> None:
         elements = Elements(page_of(content))
         stages = [own["data-stage"] for _, own in elements.found if "data-stage" in own]
         has_body = any(own.get("id") == "body" for _, own in elements.found)
-        return stages, has_body, "disabled" in elements.attributes("input", value="strain")
+        return stages, has_body, any(own.get("value") == "stretch" for _, own in elements.found)
 
-    assert offered(content) == (["0", "1", "2"], True, False)
-    placed = replace(content, draped=None, stretch=None, crossed=None, body=None)
-    assert offered(placed) == (["0", "1"], False, True)
+    assert offered(content) == (["0", "1", "2"], True, True)
+    placed = replace(content, draped=None, values={}, crossed=None, body=None)
+    assert offered(placed) == (["0", "1"], False, False)
+    assert data_of(page_of(placed, maps=True))["colours"] == "panels"
 
 
-def test_colours_of_strain_reach_the_stretch_of_nearly_all_faces(content: Content) -> None:
-    assert content.stretch is not None
-    stretch = np.linspace(1.0, 1.23, len(content.stretch))
-    assert data_of(page_of(replace(content, stretch=stretch)))["stretchRange"] == pytest.approx(0.25)
-    flat = replace(content, stretch=np.ones_like(stretch))
-    assert data_of(page_of(flat))["stretchRange"] == pytest.approx(0.05)
+def test_a_value_has_its_choice_its_legend_with_unit_and_range_and_its_colours(content: Content) -> None:
+    assert content.mesh is not None
+    height = np.linspace(0.0, 40.0, len(content.mesh.vertices))
+    page = page_of(replace(content, values={"stretch": 1.0 + 0.01 * height, "gap": height}), maps=True)
+    elements = Elements(page)
+    assert all(elements.attributes("input", value=name) for name in ("stretch", "gap"))
+    legends = re.findall(r'data-legend="(\w+)".*?<span class="ends">(.*?)</div>', page)
+    marks = {name: re.findall("<span>(.*?)</span>", text) for name, text in legends}
+    assert (marks["stretch"], marks["gap"]) == (["-20 %", "as cut", "+20 %"], ["0", "20 cm"])
+    data = data_of(page)
+    gap = data["mesh"]["values"]["gap"]
+    assert (data["colours"], gap["low"], gap["high"]) == ("stretch", 0.0, 20.0)
+    assert numbers(gap["of"])[:, 0] == pytest.approx(height, abs=1e-3)
+    colours = integers(gap["colours"])
+    assert (np.diff(colours.sum(axis=1)) <= 0).all()  # darker away from the skin
 
 
 def test_the_same_content_gives_the_same_page(content: Content) -> None:

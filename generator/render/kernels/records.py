@@ -106,6 +106,7 @@ class Scenes:
     panel: wp.array(dtype=int)
     edge_flags: wp.array(dtype=int)
     uv: wp.array(dtype=wp.vec2)
+    value: wp.array(dtype=float)  # of each row of ``uv``: ``Wanted.channels`` numbers
     border: wp.array(dtype=wp.vec4)  # of each row of ``uv``: distance to and length along the next seam, and hem
     seam: wp.array(dtype=int)  # row of the seam that is next to each row of ``uv``
     # of the bodies' vertices; ``first_mask`` is the row of a scene's first

@@ -27,17 +27,18 @@ class Wanted:
     part: int
     panel_id: int
     seam: int
-    uv: int
     silhouette: int
     lit: int
+    channels: int  # numbers of ``Scenes.value`` to interpolate
 
 
 @wp.kernel
 def see_centres(scenes: Scenes, shots: wp.array(dtype=Shot), wanted: Wanted, size: int,
                 # out
                 depth: wp.array3d(dtype=float), normals: wp.array4d(dtype=float), part: wp.array3d(dtype=wp.uint8),
-                panel: wp.array3d(dtype=wp.int16), seam: wp.array3d(dtype=wp.int16), uv: wp.array4d(dtype=float),
-                silhouette: wp.array3d(dtype=wp.uint8), lit: wp.array3d(dtype=wp.uint8)):  # fmt: skip
+                panel: wp.array3d(dtype=wp.int16), seam: wp.array3d(dtype=wp.int16),
+                silhouette: wp.array3d(dtype=wp.uint8), lit: wp.array3d(dtype=wp.uint8),
+                values: wp.array4d(dtype=float)):  # fmt: skip
     """The maps of ``Picture.maps``; they hold the values of the background when the kernel starts."""
     number, row, column = wp.tid()
     shot = shots[number]
@@ -89,12 +90,13 @@ def see_centres(scenes: Scenes, shots: wp.array(dtype=Shot), wanted: Wanted, siz
     face = scenes.first_cloth_face[shot.scene] + hit.face
     if wanted.panel_id == 1:
         panel[number, row, column] = wp.int16(scenes.panel[face])
-    place = uv_at(scenes, face, weights)
-    if wanted.uv == 1:
-        uv[number, row, column, 0] = place[0]
-        uv[number, row, column, 1] = place[1]
+    for channel in range(wanted.channels):
+        mean = float(0.0)
+        for k in range(3):
+            mean += scenes.value[scenes.uv_corner[3 * face + k] * wanted.channels + channel] * weights[k]
+        values[number, row, column, channel] = mean
     if wanted.seam == 1:
-        border = border_at(scenes, face, weights, place)
+        border = border_at(scenes, face, weights, uv_at(scenes, face, weights))
         line = wp.max(SEAM_LINE, 0.75 * hit.t / (shot.focal * float(size)))
         if border[0] < line:
             nearest = int(0)

@@ -12,9 +12,10 @@ import pytest
 import warp as wp
 
 from gcd_dataset.generator.render import MAPS
+from gcd_dataset.generator.render.pictures import VERTEX_MAPS
 from gcd_dataset.loaders import VIEW_FIELDS, GarmentDataset, GarmentLoader, Scan, Sketch, Views
 from gcd_dataset.loaders.base import Item
-from tests.loaders.rendered import samples, write
+from tests.loaders.rendered import samples, write, write_mapped
 
 GPU = "cuda"
 COUNT = 3
@@ -25,7 +26,8 @@ pytestmark = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA
 
 @pytest.fixture(scope="module")
 def items(tmp_path_factory: pytest.TempPathFactory) -> list[Item]:
-    return list(GarmentDataset(write(tmp_path_factory.mktemp("shards"), samples(COUNT)), fields=VIEW_FIELDS))
+    folder = write_mapped(tmp_path_factory.mktemp("shards"), samples(COUNT))
+    return list(GarmentDataset(folder, fields=(*VIEW_FIELDS, *VERTEX_MAPS)))
 
 
 def both(items: list[Item], made: Callable[[str], Any]) -> list[tuple[dict[str, np.ndarray], dict[str, np.ndarray]]]:
@@ -40,14 +42,14 @@ def both(items: list[Item], made: Callable[[str], Any]) -> list[tuple[dict[str, 
 
 
 def test_masks_and_maps_agree(items: list[Item]) -> None:
-    """Masks on 99.9 % of the pixels; depth, normals and uv where both see the same panel or part."""
-    for gpu, cpu in both(items, lambda device: Views(n=4, size=SIZE, maps=MAPS, device=device)):
+    """Masks on 99.9 % of the pixels; depth, normals, uv and gap where both see the same panel or part."""
+    for gpu, cpu in both(items, lambda device: Views(n=4, size=SIZE, maps=(*MAPS, *VERTEX_MAPS), device=device)):
         for name in ("silhouette", "part", "panel_id"):
             assert np.mean(gpu[f"{name}_map"] == cpu[f"{name}_map"]) >= 0.999, name
         assert np.mean(gpu["seam_map"] == cpu["seam_map"]) >= 0.99
         assert np.mean(gpu["lit_map"] == cpu["lit_map"]) >= 0.98
         same = (gpu["panel_id_map"] == cpu["panel_id_map"]) & (gpu["part_map"] == cpu["part_map"])
-        for name, tolerance in (("depth", 0.05), ("normals", 0.02), ("uv", 0.05)):
+        for name, tolerance in (("depth", 0.05), ("normals", 0.02), ("uv", 0.05), ("gap", 0.05)):
             apart = np.abs(gpu[f"{name}_map"][same] - cpu[f"{name}_map"][same])
             assert np.nanmean(np.nan_to_num(apart) <= tolerance) >= 0.999, name
         assert np.allclose(gpu["camera_rt"], cpu["camera_rt"])

@@ -21,7 +21,7 @@ from gcd_dataset.generator.render import (
     scene_of,
 )
 from gcd_dataset.generator.render.geometry import HEM
-from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR
+from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR, VERTEX_MAPS
 from gcd_dataset.records import BodyPart
 from tests.generator.render.scenes import ahead, ball_scene, patch_scene, view_of
 from tests.helpers import body_from, far_ball, napkins, patch
@@ -77,6 +77,32 @@ def test_uv_of_a_flat_patch_is_its_place_on_the_panel() -> None:
     assert maps["panel_id"][2, 2] == -1
     assert maps["part"][40, 60] == GARMENT
     assert maps["part"][2, 2] == BACKGROUND
+
+
+def test_a_linear_value_of_the_vertices_has_at_each_pixel_its_value_at_the_point_seen_there() -> None:
+    """On a plane, seen askew; NaN off the garment. A figure before the plane in the same batch changes nothing."""
+    scene = patch_scene()
+    x, y, _ = scene.vertices.T
+    values = {"stretch": np.stack([1.0 + 0.01 * x, 0.02 * y], axis=1), "gap": 0.3 * x - 0.2 * y, "pressure": 5.0 - x}
+    scene = replace(scene, values=values)
+    ball = ball_scene()
+    ball = replace(ball, values={name: np.zeros_like(each) for name, each in values.items()})
+    camera = look_at(np.array([40.0, 130.0, 90.0]), np.array([0.0, 100.0, 0.0]), focal=3.0, roll=0.2)
+    views = [replace(view_of(ball, camera=camera), scene=0), replace(view_of(scene, camera=camera), scene=1)]
+    _, picture = render([ball, scene], views, size=64, maps=("gap", "depth", "uv", "stretch", "pressure"), device="cpu")
+    maps = picture.maps
+    row, column = np.nonzero(maps["depth"] > 0.0)
+    assert len(row) > 500
+    seen = np.linalg.solve(picture.intrinsics, np.stack([column, row, np.ones_like(row)]).astype(float))
+    R, t = picture.extrinsics[:, :3], picture.extrinsics[:, 3:]
+    x, y, _ = R.T @ (seen * maps["depth"][row, column] - t)
+    assert maps["gap"][row, column] == pytest.approx(0.3 * x - 0.2 * y, abs=1e-3)
+    assert maps["pressure"][row, column] == pytest.approx(5.0 - x, abs=1e-3)
+    assert maps["stretch"][row, column] == pytest.approx(np.stack([1.0 + 0.01 * x, 0.02 * y], axis=1), abs=1e-4)
+    assert maps["uv"][row, column] == pytest.approx(np.stack([x + 10.0, y - 90.0], axis=1), abs=1e-3)
+    for name in VERTEX_MAPS:
+        assert maps[name].dtype == np.float32
+        assert np.isnan(maps[name][maps["depth"] == 0.0]).all()
 
 
 def test_seams_and_hems_are_lines_where_the_pattern_has_them() -> None:

@@ -1,0 +1,103 @@
+"""Garments in the colours of stretch, gap and pressure: colour scales, pictures and their legend."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.drawing import captioned, contact_sheet
+from gcd_dataset.generator.render.appearance import Print
+from gcd_dataset.records import Sample
+from gcd_dataset.viewer.content import body_of
+
+LEVELS = 1025  # colours of a scale
+SHARPNESS = 2  # rays along each side of a pixel
+BAR = 12  # height of the legend's bars [pixels]
+WHITE = Print(colours=((1.0, 1.0, 1.0),) * 4)
+MIDDLE = (237, 235, 227)
+BLUE, RED, TEAL, VIOLET = (43, 107, 184), (214, 38, 41), (8, 112, 104), (110, 30, 140)
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """The colours of a value of the cloth, the same for all garments; values beyond an end have its colour."""
+
+    title: str
+    low: float
+    high: float
+    marks: tuple[str, ...]
+    """Values at evenly spaced places of the scale, in words."""
+    colours: UInt8[np.ndarray, "n 3"]
+
+    def colours_of(self, values: Float[np.ndarray, " v"]) -> UInt8[np.ndarray, "v 3"]:
+        """The colour of each value."""
+        share = np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0)
+        return self.colours[np.round(share * (LEVELS - 1)).astype(int)]
+
+
+def _colours(high: Sequence[int], low: Sequence[int] | None = None) -> UInt8[np.ndarray, "n 3"]:
+    """From ``low``, if given, over ``MIDDLE`` to ``high``, by the square root: small values show."""
+    along = np.linspace(-1.0 if low else 0.0, 1.0, LEVELS)[:, None]
+    ends = np.where(along < 0.0, low or high, high)
+    return np.round(MIDDLE + np.sqrt(np.abs(along)) * (ends - MIDDLE)).astype(np.uint8)
+
+
+# 98 % of the vertices of garments cut one to three sizes too small lie within.
+SCALES: Mapping[str, Scale] = {
+    "stretch": Scale("stretch of the cloth", 0.8, 1.2, ("-20 %", "as cut", "+20 %"), _colours(RED, BLUE)),
+    "gap": Scale("gap to the skin", 0.0, 20.0, ("0", "20 cm"), _colours(TEAL)),
+    "pressure": Scale("pressure on the skin", 0.0, 1.0, ("0", "1 kPa"), _colours(VIOLET)),
+}
+"""The scales of ``Content.values``."""
+
+
+def require_maps(has_maps: bool, source: str) -> None:
+    """Raise ``ConfigError`` for a source without maps."""
+    if not has_maps:
+        raise ConfigError(f"{source} holds no maps of stretch, gap and pressure: gcd generate --maps stores them")
+
+
+def map_pictures(sample: Sample, *, size: int, sides: Sequence[str] = ("front",)) -> list[UInt8[np.ndarray, "h w 3"]]:
+    """For each side, square pictures of a draped sample in the colours of each of ``SCALES``.
+
+    Raises ``ConfigError`` for a sample without maps, on a body of another model, or with a drape that diverged.
+    """
+    from gcd_dataset.generator.render import render, scene_of_sample
+    from gcd_dataset.generator.render.pictures import VERTEX_MAPS
+    from gcd_dataset.generator.render.plain import plain_view
+
+    require_maps(sample.maps is not None, sample.key)
+    if (body := body_of(sample)) is None:
+        raise ConfigError(f"{sample.key} is on a body of another model: show it with --html")
+    scene = scene_of_sample(sample, body)
+    views = [plain_view(scene, side) for side in sides]
+    white = tuple(replace(cloth, print=WHITE) for cloth in views[0].appearance.cloths)
+    views = [replace(view, appearance=replace(view.appearance, cloths=white)) for view in views]
+    found = []
+    for picture in render([scene], views, size=SHARPNESS * size, maps=VERTEX_MAPS):
+        for name, scale in SCALES.items():
+            values = picture.maps[name].reshape(*picture.rgb.shape[:2], -1)[..., 0]
+            tinted, on_cloth = picture.rgb.astype(float), np.isfinite(values)
+            tinted[on_cloth] *= scale.colours_of(values[on_cloth]) / 255.0
+            found.append(tinted.reshape(size, SHARPNESS, size, SHARPNESS, 3).mean(axis=(1, 3)).astype(np.uint8))
+    return found
+
+
+def maps_sheet(sample: Sample, *, size: int = 512) -> UInt8[np.ndarray, "h w 3"]:
+    """Front and back of a sample in the colours of each of ``SCALES``, above the legend; as ``map_pictures``."""
+    pictures = map_pictures(sample, size=size, sides=("front", "back"))
+    return with_legend(contact_sheet(pictures, columns=len(SCALES)))
+
+
+def with_legend(picture: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h+c w 3"]:
+    """The picture above the scales, side by side, each with its title and range over a bar."""
+    width = picture.shape[1]
+    place = np.linspace(0, LEVELS - 1, width // len(SCALES)).round().astype(int)
+    bars = [
+        captioned(np.tile(scale.colours[place], (BAR, 1, 1)), f"{scale.title}: {scale.marks[0]} to {scale.marks[-1]}")
+        for scale in SCALES.values()
+    ]
+    strip = np.concatenate(bars, axis=1)
+    return np.concatenate([picture, np.pad(strip, ((0, 0), (0, width - strip.shape[1]), (0, 0)), mode="edge")])
