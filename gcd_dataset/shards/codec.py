@@ -205,18 +205,28 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
         "body": np.asarray([] if sample.shape is None else sample.shape.weights, np.float32),
     }
     vertices = np.zeros((0, 3), np.float32) if drape is None else drape.vertices
+    maps = {} if sample.maps is None else {name: _half(getattr(sample.maps, name)) for name in ARRAYS[MAPS]}
+    _require_rows(maps, vertices)
     return {
         "pattern.z": pack(pattern),
         "mesh.z": pack(_mesh_arrays(mesh or NO_MESH, tensor), MESH_CODINGS),
         "verts.z": pack({"verts": vertices}, {"verts": POSITION}),
         "points.z": _points(sample.points),
-        **({} if sample.maps is None else {MAPS: pack({f: _half(getattr(sample.maps, f)) for f in ARRAYS[MAPS]})}),
+        **({MAPS: pack(maps)} if maps else {}),
     }
 
 
-@np.errstate(over="ignore")
 def _half(values: np.ndarray) -> np.ndarray:
-    return values.astype(np.float16)
+    """The values as float16; those beyond its range become its largest or smallest number."""
+    largest = np.finfo(np.float16).max
+    return np.clip(values, -largest, largest).astype(np.float16)
+
+
+def _require_rows(maps: Mapping[str, np.ndarray], vertices: np.ndarray) -> None:
+    """Raise ``ShardError`` for maps without one row for each vertex."""
+    for name, array in maps.items():
+        if len(array) != len(vertices):
+            raise ShardError(f"{name} has {len(array)} rows for {len(vertices)} vertices")
 
 
 def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
@@ -475,9 +485,14 @@ def _decoded(members: Mapping[str, Bytes], fields: Sequence[str]) -> dict[str, A
     arrays: dict[str, np.ndarray] = {}
     sections = {section for field in fields for section in SECTIONS.get(field, ())}
     stored = {field: member_of(field) for field in fields if field in SECTIONS}
+    if MAPS in stored.values() and "verts.z" in members:
+        stored, sections = {**stored, "verts": "verts.z"}, {*sections, "verts"}
     for member in members_of(stored, stored):
         with _reading(member):
             arrays |= unpack(members[member], sections)
+    if "verts" in arrays:
+        with _reading(MAPS):
+            _require_rows({name: arrays[name] for name in ARRAYS[MAPS] if name in arrays}, arrays["verts"])
     found = {}
     for field in fields:
         if field in JOINT:
