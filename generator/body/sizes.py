@@ -89,7 +89,7 @@ def read_chart(name_or_path: Path | str) -> SizeChart:
     """One of ``CHARTS``, or the chart in a TOML file.
 
     Raises ``ConfigError`` with the file, the size and the fault: a hole or an overlap between two intervals, a measure
-    that a body lacks, a body outside its own intervals.
+    that a body lacks, parts of a body that exceed the whole, a body outside its own intervals.
     """
     if str(name_or_path) in CHARTS:
         path = Path(str(files("gcd_dataset.generator") / "data" / f"sizes_{name_or_path}.toml"))
