@@ -84,10 +84,7 @@ def parse_measurements(table: Mapping[str, Any], path: str) -> Measurements:
     missing = [key for key, known in MEASURE.items() if key not in values and not known.optional]
     if missing:
         raise BodyError(f"{path}: body lacks {', '.join(missing)}: add {'it' if len(missing) == 1 else 'them'}")
-    try:
-        return Measurements.from_file_values(values).require_parts()
-    except BodyError as error:
-        raise BodyError(f"{path}: body: {error}") from error
+    return Measurements.from_file_values(values)
 
 
 def require_same_body(given: Measurements, ours: Measurements, source: Path | str, mesh: Path | str) -> None:

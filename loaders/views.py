@@ -165,6 +165,11 @@ class Views(SceneTransform):
         pictures = self._pictures(scenes, views)
         return [self._entries(pictures[row * self.n : (row + 1) * self.n]) for row in range(len(items))]
 
+    def _empty(self) -> Item:
+        from gcd_dataset.generator.render.casting import empty_picture
+
+        return self._entries(self.n * [empty_picture(self.size, self.maps)])
+
     def _pictures(self, scenes: Sequence["Scene"], views: Sequence["View"]) -> "list[Picture]":
         from gcd_dataset.generator.render import render, start_pictures
 

@@ -119,7 +119,10 @@ def _body(entry: Mapping[str, Any], place: str) -> Measurements:
         raise ConfigError(str(error)) from error
     if missing := [name for name in MEASURES if name not in body.to_file_values()]:
         raise ConfigError(f"{place}: body lacks {', '.join(missing)}: a size has all measures: add them")
-    return body
+    try:
+        return body.require_parts()
+    except BodyError as error:
+        raise ConfigError(f"{place}: body: {error}") from error
 
 
 def _intervals(fits: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[float, float]]]:
