@@ -22,8 +22,8 @@ from gcd_dataset.loaders.worker import naming_full, sent, unwrap
 from gcd_dataset.tensors import EdgeColumn, StitchColumn
 
 RAGGED = (
-    "panels", "edges", "stitches", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box", "verts",
-    "stretch", "gap", "pressure", "panel_corners", "panel_corner_pixels", "panel_corner_visible",
+    "panels", "edges", "stitches", "closures", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex",
+    "box", "verts", "stretch", "gap", "pressure", "panel_corners", "panel_corner_pixels", "panel_corner_visible",
 )  # fmt: skip
 """Fields with a different number of rows in each garment."""
 
@@ -83,6 +83,7 @@ class _Batch(dict[str, Any]):
     panels: Float[Tensor, "*b p 14"] = _entry()
     edges: Float[Tensor, "*b e 13"] = _entry()
     stitches: Int[Tensor, "*b s 3"] = _entry()
+    closures: Float[Tensor, "*b s 3"] = _entry()
     faces: Int[Tensor, "*b f 3"] = _entry()
     panel_id: Int[Tensor, "*b f"] = _entry()
     corners: Int[Tensor, "*b f 3"] = _entry()

@@ -63,7 +63,8 @@ class Views(SceneTransform):
     An item gets ``views``, ``camera_k``, ``camera_rt``, ``panel_corners``, ``panel_corner_pixels``,
     ``panel_corner_visible``, ``landmark_pixels``, ``landmark_visible`` and, for each of ``maps``, ``depth_map`` and so
     on: ``GarmentFields`` has their shapes, units and conventions, ``generator.render.Picture`` those of the maps.
-    ``front`` and ``back``, the plain pictures, stay as they are.
+    ``front`` and ``back``, the plain pictures, stay as they are. A garment that cannot be put on has black pictures,
+    the background in its maps, and zeros for cameras.
 
     **Randomness.** Pictures are a function of ``seed``, epoch, the garment's data set (its seed and recipe) and its
     number, ``meta["index"]``; not of workers, order or batch. With the seed of the garments, those of epoch 0 are the

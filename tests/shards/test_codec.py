@@ -20,6 +20,7 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import (
     MEASURES,
     BoxMesh,
+    Closure,
     Grade,
     Maps,
     Measurements,
@@ -31,9 +32,10 @@ from gcd_dataset.records import (
     Strain,
 )
 from gcd_dataset.shards import FIELDS, MEMBERS, decode_fields, decode_sample, encode_sample
-from gcd_dataset.shards.codec import MESH_CODINGS, spread
+from gcd_dataset.shards.codec import MESH_CODINGS, spread, stored_pattern
 from gcd_dataset.shards.layout import garments_layout, is_picture
 from gcd_dataset.shards.sections import HEAD, Coding, pack, unpack
+from gcd_dataset.tensors import decode_pattern
 from tests.shards import stranger
 from tests.shards.folders import patterns, write_shard
 
@@ -351,6 +353,15 @@ def test_sections_that_contradict_each_other_are_one_sentence(sample: Sample) ->
         stored = dict(unpack(members["points.z"])) | points
         with pytest.raises(ShardError, match=r"^member points\.z"):
             decode_fields({**members, "points.z": pack(stored)}, ["points"])
+
+
+def test_closures_are_stored_where_a_seam_is_not_sewn(sample: Sample) -> None:
+    seams = (replace(sample.pattern.seams[0], closure=Closure.ZIP, closed=(0.3, 1.0)), sample.pattern.seams[1])
+    zipped = encode_sample(replace(sample, pattern=replace(sample.pattern, seams=seams)))
+    assert decode_sample(zipped).pattern.seams == decode_pattern(stored_pattern(zipped)).seams == seams
+    sewn = encode_sample(sample)
+    assert "closures" not in unpack(sewn["pattern.z"])
+    assert decode_fields(sewn, ["closures"])["closures"].tolist() == [[0, 0, 1], [0, 0, 1]]
 
 
 def with_maps(sample: Sample, pressure: np.ndarray) -> Sample:
