@@ -38,8 +38,9 @@ def pieces(size: Measurements, design: GarmentDesign, *, mends: frozenset[Mend] 
     for below in drawn[1:]:
         placed.append(below.placed_by("top", placed[-1], "bottom", gap=GAP))
     whole = Component.of(*placed)
-    for above, below in pairwise(placed):
-        whole = whole.sewn(above.interface("bottom"), below.interface("top"), gathered=True)
+    hems = ["bottom_from_front" if design.opens_band() else "bottom", "bottom"]
+    for (above, below), hem in zip(pairwise(placed), hems, strict=False):
+        whole = whole.sewn(above.interface(hem), below.interface("top"), gathered=True)
     if Mend.EXPORT_PIVOT not in mends:
         # GarmentCode moves each piece in its plane by the fractional part of its first corner's coordinates.
         corners = ([fmod(coordinate, 1.0) for coordinate in piece.outline.origin] for piece in whole.pieces)
@@ -88,7 +89,9 @@ def parts(size: Measurements, design: GarmentDesign, mends: frozenset[Mend] = AL
                 f"nothing can be sewn to the hem of a {meta.upper.value}: set meta.wb and meta.bottom to null"
             )
     if meta.wb is not None:
-        found.append(waistband(size, design.waistband, meta.wb, rise=rise).labelled(PanelRole.BODY))
+        shirt = design.front if design.opens_band() else None
+        band = waistband(size, design.waistband, meta.wb, rise=rise, shirt=shirt)
+        found.append(band.labelled(PanelRole.BODY))
     if meta.bottom is not None:
         found.append(bottom(size, design, mends))
     return tuple(found)
