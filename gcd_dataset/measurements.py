@@ -22,6 +22,16 @@ ARMSCYE_EASE = 2.5  # cm, GarmentCode body_params.py
 SLEEVE_BALANCE = 2.0  # cm, GarmentCode body_params.py
 LARGEST = 1e4  # cm, or degrees: larger than any body
 ADULT = (120.0, 230.0)  # cm; heights of adults
+PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("bust", ("back_width",)),
+    ("bust", ("bust_points",)),
+    ("waist", ("waist_back_width",)),
+    ("hips", ("hip_back_width",)),
+    ("hips", ("bum_points",)),
+    ("hips", ("leg_circ",)),
+    ("height", ("head_l", "waist_line", "hips_line", "crotch_hip_diff")),
+)
+"""Measures, each with others whose sum is less than it on any body."""
 SIDEWAYS = -0.4  # least cosine between skin normal and tape direction, GarmentCodeData
 
 Unit: TypeAlias = Literal["cm", "degrees"]
@@ -196,6 +206,15 @@ class Measurements:
         missing = [name for name in names if np.isnan(getattr(self, name))]
         if missing:
             raise BodyError(f"measures {', '.join(missing)} are missing: add them to the measurement file")
+        return self
+
+    def require_parts(self) -> Self:
+        """These measurements. Raises ``BodyError`` where the parts of a measure in ``PARTS`` are not less than it."""
+        for whole, names in PARTS:
+            length, total = getattr(self, whole), sum(getattr(self, name) for name in names)
+            if total <= 0 or total >= length:
+                figures = f"{' + '.join(names)} is {total:.1f} cm, and {whole} is {length:.1f} cm"
+                raise BodyError(f"{figures}: parts are less than the whole, so correct these measures")
         return self
 
     @property

@@ -486,7 +486,10 @@ class Ease:
 
 @dataclass(frozen=True, eq=False)
 class Maps(Record):
-    """Figures of a drape by vertex; NaN for a diverged one. Shards store them as float16."""
+    """Figures of a drape by vertex; NaN for one that diverged or was not made.
+
+    Shards store them as float16, larger ones than 65,504 as 65,504.
+    """
 
     stretch: Float[np.ndarray, "v 2"]
     """Largest and smallest principal stretch, mean over the faces of the vertex by area; 1 is unstretched."""

@@ -1,7 +1,7 @@
-"""Encoding of a pattern as three plain arrays, for networks and storage, and decoding.
+"""Encoding of a pattern as four plain arrays, for networks and storage, and decoding.
 
-One row for each panel, edge and seam, in the order of the pattern; edges are sorted by panel and loop.
-``PanelColumn``, ``EdgeColumn`` and ``StitchColumn`` name the columns:
+One row for each panel, edge, seam and closure of a seam, in the order of the pattern; edges are sorted by panel and
+loop. ``PanelColumn``, ``EdgeColumn``, ``StitchColumn`` and ``ClosureColumn`` name the columns:
 
 >>> from gcd_dataset.records import Edge, Panel, Pattern, Placement
 >>> square = Panel("square", np.array([[0, 0], [9, 0], [9, 9], [0, 9]]), tuple(Edge(i, (i + 1) % 4) for i in range(4)),
@@ -17,8 +17,8 @@ of the panel's area, and the placement is the position of the centroid. Numbers 
 of a nearly closed arc rotates the circle about them, and float32 would move its far side by millimetres.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from itertools import pairwise
 
@@ -37,7 +37,7 @@ from gcd_dataset.curves import (
     from_frame,
     to_frame,
 )
-from gcd_dataset.errors import PatternError
+from gcd_dataset.errors import PatternError, shown
 from gcd_dataset.records import (
     Closure,
     Edge,
@@ -53,8 +53,10 @@ from gcd_dataset.records import (
 )
 
 __all__ = [
+    "CLOSURES",
     "EDGE_LABELS",
     "PANEL_LABELS",
+    "ClosureColumn",
     "CurveKind",
     "EdgeColumn",
     "PanelColumn",
@@ -70,6 +72,8 @@ PANEL_LABELS = ("", *(role.value for role in PanelRole))
 """Panel labels with the same number in every tensor; further labels are numbered after them."""
 EDGE_LABELS = ("", *(role.value for role in EdgeRole))
 """Edge labels with the same number in every tensor; further labels are numbered after them."""
+CLOSURES = tuple(Closure)
+"""Closures with the same number in every tensor."""
 
 NO_AREA = 1e-6  # share of the squared extent: the area centroid of a flatter panel is ill-conditioned
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # exact to degree 31: a cubic's moments need 8
@@ -137,6 +141,22 @@ class StitchColumn(IntEnum):
     """1 if the starts of the two edges meet."""
 
 
+class ClosureColumn(IntEnum):
+    """Columns of ``PatternTensor.closures``."""
+
+    KIND = 0
+    """Row of ``CLOSURES``."""
+    START = 1
+    """Joined part of the seam, from and to, as shares of the length from the start of the left edge."""
+    END = 2
+
+
+COLUMNS: Mapping[str, type[IntEnum]] = {
+    "panels": PanelColumn, "edges": EdgeColumn, "stitches": StitchColumn, "closures": ClosureColumn,
+}  # fmt: skip
+"""Array of ``PatternTensor`` to the names of its columns."""
+
+
 class CurveKind(IntEnum):
     """Kinds of edge in ``EdgeColumn.KIND``."""
 
@@ -165,16 +185,13 @@ class PatternTensor(Record):
     """Columns of ``EdgeColumn``."""
     stitches: Int[np.ndarray, "s 3"]
     """Columns of ``StitchColumn``."""
+    closures: Float[np.ndarray, "s 3"]
+    """Columns of ``ClosureColumn``, of the same seams."""
     panel_names: tuple[str, ...]
     """Name of each row of ``panels``."""
     panel_labels: tuple[str, ...] = PANEL_LABELS
     edge_labels: tuple[str, ...] = EDGE_LABELS
     name: str = ""
-    closures: tuple[tuple[int, str, float, float], ...] = ()
-    """Row of ``stitches``, closure, and joined part from and to, of each seam that is not sewn from end to end.
-
-    Shards hold them in the specification alone.
-    """
 
     @property
     def loops(self) -> Int[np.ndarray, "p+1"]:
@@ -205,13 +222,11 @@ def encode_pattern(pattern: Pattern) -> PatternTensor:
         panels=panels,
         edges=np.concatenate([np.zeros((0, len(EdgeColumn))), *loops]),
         stitches=seam_rows(pattern),
+        closures=closure_rows(pattern),
         panel_names=tuple(panel.name for panel in pattern.panels),
         panel_labels=panel_labels,
         edge_labels=edge_labels,
         name=pattern.name,
-        closures=tuple(
-            (row, str(seam.closure), *seam.closed) for row, seam in enumerate(pattern.seams) if not seam.is_plain
-        ),
     )
 
 
@@ -224,10 +239,12 @@ def decode_pattern(tensor: PatternTensor) -> Pattern:
     bounds = [(int(a), int(b)) for a, b in pairwise(tensor.loops)]
     panels = tuple(_panel(tensor, row, tensor.edges[first:last]) for row, (first, last) in enumerate(bounds))
     refs = [EdgeRef(panel.name, i) for panel in panels for i in range(len(panel.edges))]
-    seams = [Seam(refs[left], refs[right], bool(turned)) for left, right, turned in tensor.stitches.tolist()]
-    for row, closure, start, end in tensor.closures:
-        seams[row] = replace(seams[row], closure=role_of(Closure, closure), closed=(start, end))
-    return Pattern(tensor.name, panels, tuple(seams))
+    rows = zip(tensor.stitches.tolist(), tensor.closures.tolist(), strict=True)
+    seams = tuple(
+        Seam(refs[left], refs[right], bool(turned), CLOSURES[int(kind)], (start, end))
+        for (left, right, turned), (kind, start, end) in rows
+    )
+    return Pattern(tensor.name, panels, seams)
 
 
 def area_centroid(panel: Panel) -> Float[np.ndarray, "2"]:
@@ -335,6 +352,21 @@ def seam_rows(pattern: Pattern) -> Int[np.ndarray, "s 3"]:
     return np.array(rows, int).reshape(-1, len(StitchColumn))
 
 
+def closure_rows(pattern: Pattern) -> Float[np.ndarray, "s 3"]:
+    """The closures of a pattern, in the columns of ``ClosureColumn``. Raises ``PatternError`` for an unknown one."""
+    rows = sewn_rows(len(pattern.seams))
+    for number, seam in enumerate(pattern.seams):
+        if seam.closure not in CLOSURES:
+            raise PatternError(f"seam {number}: closure {shown(seam.closure)}: give one of {', '.join(CLOSURES)}")
+        rows[number] = CLOSURES.index(Closure(seam.closure)), *seam.closed
+    return rows
+
+
+def sewn_rows(count: int) -> Float[np.ndarray, "s 3"]:
+    """``closure_rows`` of seams that are sewn from end to end."""
+    return np.tile([0.0, 0.0, 1.0], (count, 1))
+
+
 def _quaternion(rotation: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
     """(w, x, y, z) of ``Rz Ry Rx``, w ≥ 0."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(np.asarray(rotation) / 2), np.sin(np.asarray(rotation) / 2)
@@ -353,10 +385,12 @@ def _quaternion(rotation: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
 
 
 def _require_sound(tensor: PatternTensor) -> None:
-    for name, columns in (("panels", PanelColumn), ("edges", EdgeColumn), ("stitches", StitchColumn)):
+    for name, columns in COLUMNS.items():
         shape = getattr(tensor, name).shape
         if len(shape) != 2 or shape[1] != len(columns):
             raise PatternError(f"{name} has shape {shape}, not (n, {len(columns)}): see {columns.__name__}")
+    if len(tensor.closures) != len(tensor.stitches):
+        raise PatternError(f"{len(tensor.closures)} closures for {len(tensor.stitches)} stitches: give one each")
     if len(tensor.panel_names) != len(tensor.panels):
         raise PatternError(f"{len(tensor.panel_names)} panel names for {len(tensor.panels)} panels: give one each")
     if tensor.loops[-1] != len(tensor.edges):
@@ -365,6 +399,7 @@ def _require_sound(tensor: PatternTensor) -> None:
         )
     numbered = (
         (tensor.stitches[:, : StitchColumn.RIGHT + 1], len(tensor.edges), "stitches refer to edges"),
+        (tensor.closures[:, ClosureColumn.KIND], len(CLOSURES), "closures refer to kinds"),
         (tensor.panels[:, PanelColumn.LABEL], len(tensor.panel_labels), "panels refer to labels"),
         (tensor.edges[:, EdgeColumn.LABEL], len(tensor.edge_labels), "edges refer to labels"),
         (tensor.edges[:, EdgeColumn.KIND], len(CurveKind), "edges refer to kinds"),

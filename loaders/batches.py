@@ -22,8 +22,8 @@ from gcd_dataset.loaders.worker import naming_full, sent, unwrap
 from gcd_dataset.tensors import EdgeColumn, StitchColumn
 
 RAGGED = (
-    "panels", "edges", "stitches", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box", "verts",
-    "stretch", "gap", "pressure", "panel_corners", "panel_corner_pixels", "panel_corner_visible",
+    "panels", "edges", "stitches", "closures", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex",
+    "box", "verts", "stretch", "gap", "pressure", "panel_corners", "panel_corner_pixels", "panel_corner_visible",
 )  # fmt: skip
 """Fields with a different number of rows in each garment."""
 
@@ -83,6 +83,7 @@ class _Batch(dict[str, Any]):
     panels: Float[Tensor, "*b p 14"] = _entry()
     edges: Float[Tensor, "*b e 13"] = _entry()
     stitches: Int[Tensor, "*b s 3"] = _entry()
+    closures: Float[Tensor, "*b s 3"] = _entry()
     faces: Int[Tensor, "*b f 3"] = _entry()
     panel_id: Int[Tensor, "*b f"] = _entry()
     corners: Int[Tensor, "*b f 3"] = _entry()
@@ -322,7 +323,8 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
       ``box``; ``corners`` to ``uv``; ``panel_id`` and ``edges[:, EdgeColumn.PANEL]`` to ``panels``; ``stitches[:, :2]``
       to ``edges``; ``seams[:, 1]`` to ``stitches``. Data types stay. The field referred to must be in the items. The
       second column of ``labels`` stays a row of each garment's ``edge_labels``.
-    - Tensors of equal shape, such as ``body``, ``points``, ``front`` and ``back``, are stacked to [B, …].
+    - Tensors of equal shape, such as ``body``, ``points``, ``front`` and ``back``, are stacked to [B, …]. A picture
+      without pixels, of a garment that was not draped, becomes black if another of the batch has pixels.
     - Any other value, such as parsed JSON or the entries a ``transform`` adds, becomes a list of length B.
     - ``batch_size`` is B.
 
@@ -435,6 +437,9 @@ def _stacked(values: list[Any], dtype: torch.dtype | None, field: str, is_stored
     """Tensors of equal shape stacked, and ``is_stored`` arrays; anything else as a list."""
     first = values[0]
     kinds = (Tensor, np.ndarray) if is_stored else Tensor
+    if all(isinstance(value, Tensor) and value.dtype == torch.uint8 for value in values):  # pictures
+        first = next((value for value in values if value.numel()), first)
+        values = [value if value.numel() else torch.zeros_like(first) for value in values]
     if all(isinstance(value, kinds) and value.shape == first.shape for value in values):
         return _concatenated([value[None] for value in values], [1] * len(values), dtype, {}, field)
     if is_stored and isinstance(first, np.ndarray):

@@ -33,6 +33,8 @@ class GarmentFields(TypedDict, total=False):
     """[cm]; columns of ``EdgeColumn``."""
     stitches: Int[Tensor, "s 3"]
     """A row for each seam; columns of ``StitchColumn``."""
+    closures: Float[Tensor, "s 3"]
+    """How far the same seams are joined, and by what; columns of ``ClosureColumn``."""
     body: Float[Tensor, " k"]
     """Weights of the wearer's shape components [standard deviations]."""
     faces: Int[Tensor, "f 3"]

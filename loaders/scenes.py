@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from gcd_dataset.loaders.base import (
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.ranks import device_of_process
 from gcd_dataset.loaders.worker import shared_number
-from gcd_dataset.records import Body, BodyShape, BoxMesh, Panel, Pattern, Placement
+from gcd_dataset.records import Body, BodyShape, BoxMesh, Outcome, Panel, Pattern, Placement
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
 
@@ -77,12 +78,18 @@ class SceneTransform(ABC):
     def _draw(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
         """The new entries of each item."""
 
+    @abstractmethod
+    def _empty(self) -> Item:
+        """The new entries of a garment that was not draped: an empty picture, of the same shapes and types."""
+
     def _added(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
         """The new entries of each item. Raises ``ConfigError`` for a GPU in a worker process."""
         if self.device != "cpu" and (get_worker_info() is not None or os.getpid() != self._process):
             place = f"{type(self).__name__} on {self.device} in a worker process"
             raise ConfigError(f"{place}, where a GPU cannot be shared: {self.on_gpu}")
-        return self._draw(items, uses)
+        draped = [not _cannot_be_put_on(item) for item in items]
+        drawn = iter(self._draw(list(compress(items, draped)), list(compress(uses, draped))))
+        return [next(drawn) if is_draped else self._empty() for is_draped in draped]
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -163,6 +170,12 @@ def _bare_pattern(meta: Mapping[str, Any], spec: Mapping[str, Any]) -> Pattern:
 
 
 UNPLACED = Placement(np.zeros(3), np.zeros(3))
+
+
+def _cannot_be_put_on(item: Item) -> bool:
+    """Whether the vertices of an item are those before sewing."""
+    drape = item.get("meta", {}).get("drape")
+    return drape is not None and drape["outcome"] == Outcome.CANNOT_BE_PUT_ON.name
 
 
 def _require_fields(item: Item, user: str, values: Sequence[str]) -> None:
@@ -327,6 +340,12 @@ class Scan(SceneTransform):
     def _draw(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
         return [_entries(self._scan(item, use)) for item, use in zip(items, uses, strict=True)]
 
+    def _empty(self) -> Item:
+        from gcd_dataset.generator.render.scans import PointScan
+
+        lost, none = np.full((self.points, 3), np.nan), np.full(self.points, -1)
+        return _entries(PointScan(lost, lost, none, none, np.zeros((self.n, 3, 4)), np.zeros((3, 3)), measured=0))
+
     def _scan(self, item: Item, use: int) -> "PointScan":
         from gcd_dataset.generator.render.scans import draw_scan_cameras, scan
         from gcd_dataset.generator.views import stored_scene
@@ -402,6 +421,14 @@ class Sketch(SceneTransform):
 
     def _draw(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
         return [self._entries(item, use) for item, use in zip(items, uses, strict=True)]
+
+    def _empty(self) -> Item:
+        count = len(self.yaws)
+        return {
+            "sketch": torch.full((count, self.size, self.size), 255, dtype=torch.uint8),
+            "sketch_k": torch.zeros(count, 3, 3),
+            "sketch_rt": torch.zeros(count, 3, 4),
+        }
 
     def _entries(self, item: Item, use: int) -> Item:
         """The new entries of an item."""

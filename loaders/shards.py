@@ -434,7 +434,8 @@ def _absent(parts: Sequence[_SplitPart], fields: Sequence[str] | None, *, is_rem
     pictures = [field for field in held if is_picture(held[field])]
     stored = {field: held[field] for field in held if field not in pictures or fields is None or field in fields}
     members = part.reader.read(first, stored.values())
-    found = decode_fields(members, [field for field in stored if field not in pictures])
+    with part.reader.naming(first):
+        found = decode_fields(members, [field for field in stored if field not in pictures])
     missing = {field for field, value in found.items() if isinstance(value, np.ndarray) and not len(value)}
     missing |= {field for field in pictures if field in stored and len(members[stored[field]]) <= len(NO_PICTURE)}
     if any(part.reader.index.outcome.any() for part in parts):  # the first garment may be one without a drape

@@ -66,7 +66,8 @@ class Views(SceneTransform):
     An item gets ``views``, ``camera_k``, ``camera_rt``, ``panel_corners``, ``panel_corner_pixels``,
     ``panel_corner_visible``, ``landmark_pixels``, ``landmark_visible`` and, for each of ``maps``, ``depth_map`` and so
     on: ``GarmentFields`` has their shapes, units and conventions, ``generator.render.Picture`` those of the maps.
-    ``front`` and ``back``, the plain pictures, stay as they are.
+    ``front`` and ``back``, the plain pictures, stay as they are. A garment that cannot be put on has black pictures,
+    the background in its maps, and zeros for cameras.
 
     **Randomness.** Pictures are a function of ``seed``, epoch, the garment's data set (its seed and recipe) and its
     number, ``meta["index"]``; not of workers, order or batch. With the seed of the garments, those of epoch 0 are the
@@ -168,6 +169,11 @@ class Views(SceneTransform):
             views += draw_views(seed, garment.index, scenes[row], self.n, **options)
         pictures = self._pictures(scenes, views)
         return [self._entries(pictures[row * self.n : (row + 1) * self.n]) for row in range(len(items))]
+
+    def _empty(self) -> Item:
+        from gcd_dataset.generator.render.casting import empty_picture
+
+        return self._entries(self.n * [empty_picture(self.size, self.maps)])
 
     def _pictures(self, scenes: Sequence["Scene"], views: Sequence["View"]) -> "list[Picture]":
         from gcd_dataset.generator.render import render, start_pictures

@@ -23,6 +23,7 @@ from gcd_dataset.tensors import (
     area_centroid,
     decode_pattern,
     encode_pattern,
+    sewn_rows,
 )
 from tests.helpers import napkins
 
@@ -50,12 +51,15 @@ def again(pattern: Pattern) -> Pattern:
     return decode_pattern(encode_pattern(pattern))
 
 
-def test_closures_survive_and_leave_the_arrays_alone() -> None:
+def test_closures_survive_and_leave_the_stitches_alone() -> None:
     sewn = Pattern("tent", (square(),), (Seam(EdgeRef("square", 0), EdgeRef("square", 1)),))
-    zipped = replace(sewn, seams=(replace(sewn.seams[0], closure=Closure.ZIP, closed=(0.5, 1.0)),))
-    assert again(zipped).seams == zipped.seams
-    assert again(sewn).seams == sewn.seams
-    assert np.array_equal(encode_pattern(zipped).stitches, encode_pattern(sewn).stitches)
+    assert encode_pattern(sewn).closures.tolist() == [[0.0, 0.0, 1.0]]
+    for kind, closure in enumerate(Closure):
+        closed = replace(sewn, seams=(replace(sewn.seams[0], closure=closure, closed=(0.3, 1.0)),))
+        tensor = encode_pattern(closed)
+        assert tensor.closures.tolist() == [[kind, 0.3, 1.0]]
+        assert decode_pattern(tensor).seams == closed.seams
+        assert np.array_equal(tensor.stitches, encode_pattern(sewn).stitches)
 
 
 def assert_same(ours: Pattern, theirs: Pattern) -> None:
@@ -186,6 +190,10 @@ def test_broken_patterns_are_named() -> None:
             Pattern("p", (panel,), (Seam(EdgeRef("square", 0), EdgeRef("square", 9)),)),
             "square has no edge 9",
         ),
+        (
+            Pattern("p", (panel,), (Seam(EdgeRef("square", 0), EdgeRef("square", 1), closure="velcro"),)),
+            "seam 0: closure velcro: give one of sewn, open, zip, buttons",
+        ),
         (Pattern("p", (square(20.0, Arc(9.0, False, True)),), ()), "cannot span"),
     ):
         with pytest.raises(PatternError, match=message):
@@ -204,7 +212,11 @@ def test_broken_arrays_are_named() -> None:
         (replace(tensor, edges=tensor.edges[:, :5]), "edges has shape"),
         (replace(tensor, edges=tensor.edges[:3]), "correct N_EDGES"),
         (replace(tensor, panel_names=()), "0 panel names for 1 panels"),
-        (replace(tensor, stitches=np.array([[0, 7, 0]])), "stitches refer to edges 0 to 7, but there are 4"),
+        (replace(tensor, closures=np.zeros((1, 3))), "1 closures for 0 stitches"),
+        (
+            replace(tensor, stitches=np.array([[0, 7, 0]]), closures=sewn_rows(1)),
+            "stitches refer to edges 0 to 7, but there are 4",
+        ),
         (with_edge(EdgeColumn.KIND, 9), "edges refer to kinds"),
         (with_edge(EdgeColumn.LABEL, 40), "edges refer to labels"),
     ):

@@ -31,17 +31,16 @@ from benchmarks.reconstruction.point_net import DecoderLayer
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.generator.garments import GarmentDesign, design_to_dict, draw_garment
-from gcd_dataset.generator.garments.assembly import BACKS
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.space import DesignSpace
 from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
 from gcd_dataset.generator.garments.wearable import wearable
-from gcd_dataset.measurements import ANGLES, MEASURES, Measurements
+from gcd_dataset.measurements import ANGLES, MEASURES, PARTS, Measurements
 from gcd_dataset.records import Pattern
 
 FEW = 12  # a whole number of at most this many values is a choice among them
 VALUE_BEND = 0.05  # share of a range, or of a deviation: errors below it count by their square
-LARGEST_BACK = 0.95  # of the girth
+LARGEST_PART = 0.95  # of the whole
 WEIGHTS = {"choices": 1.0, "numbers": 5.0, "defaults": 0.5, "measures": 1.0}
 LEAVES = tuple(leaf.path for leaf in PARAMETERS)
 META = tuple(LEAVES.index(path) for path in ("meta.upper", "meta.wb", "meta.bottom"))
@@ -324,10 +323,10 @@ def _with_defaults(design: GarmentDesign) -> GarmentDesign:
 
 
 def _size(measures: Float[np.ndarray, " m"]) -> Measurements:
-    """The measures, with backs that are part of their girths."""
+    """The measures, with parts that are less than the whole."""
     values = dict(zip(MEASURES, measures.tolist(), strict=True))
-    for back, girth in BACKS:
-        values[back] = min(values[back], LARGEST_BACK * values[girth])
+    for whole, (first, *others) in PARTS:
+        values[first] = min(values[first], LARGEST_PART * values[whole] - sum(values[name] for name in others))
     return Measurements.from_file_values(values)
 
 

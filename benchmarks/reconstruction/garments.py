@@ -25,7 +25,15 @@ from gcd_dataset.measurements import MEASURES
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.records import Outcome, Pattern
 from gcd_dataset.seeding import Stage, rng
-from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, EdgeColumn, PanelColumn, PatternTensor, decode_pattern
+from gcd_dataset.tensors import (
+    EDGE_LABELS,
+    PANEL_LABELS,
+    EdgeColumn,
+    PanelColumn,
+    PatternTensor,
+    decode_pattern,
+    sewn_rows,
+)
 
 Arrays: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 """``panels``, ``edges`` and ``stitches`` of a ``PatternTensor``."""
@@ -194,7 +202,9 @@ def _tensor(arrays: Arrays) -> PatternTensor:
     panels, edges = panels.copy(), edges.copy()
     panels[panels[:, PanelColumn.LABEL] >= len(PANEL_LABELS), PanelColumn.LABEL] = 0
     edges[edges[:, EdgeColumn.LABEL] >= len(EDGE_LABELS), EdgeColumn.LABEL] = 0
-    return PatternTensor(panels, edges, stitches, tuple(str(row) for row in range(len(panels))))
+    return PatternTensor(
+        panels, edges, stitches, sewn_rows(len(stitches)), tuple(str(row) for row in range(len(panels)))
+    )
 
 
 # ----------------------------------------------------------------------------------------------------------- the making

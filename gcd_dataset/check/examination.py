@@ -21,7 +21,7 @@ from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCo
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
 from gcd_dataset.release import PublishedBatches, PublishedGarments
-from gcd_dataset.shards.layout import BODIES, FAILED, key_of
+from gcd_dataset.shards.layout import ARRAYS, BODIES, FAILED, MAPS, key_of
 from gcd_dataset.shards.store import FolderStore
 
 QUICK = 200  # garments of each split that are read with ``quick``
@@ -186,10 +186,10 @@ def _published(path: Path, cache_dir: str | Path | None) -> _Examined:
 
 
 def _examined(known: Sequence[str] | None) -> tuple[str, ...]:
-    """The fields to read. Published garments have no shape weights; their points are sampled on reading."""
+    """The fields to read, maps for their length. Published garments have no shape weights; points are sampled."""
     if known is None:
         return tuple(name for name in FIELDS_READ if name not in ("body", "points"))
-    return tuple(name for name in FIELDS_READ if name in known)
+    return tuple(name for name in (*FIELDS_READ, *ARRAYS[MAPS]) if name in known)
 
 
 # -------------------------------------------------------------------------------------------------------- examination

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -16,18 +16,26 @@ from gcd_dataset.faults import Rule, Severity, check_pattern
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import MISFITS, Grade, Outcome, Pattern
 from gcd_dataset.spec import pattern_from_spec
-from gcd_dataset.tensors import CurveKind, EdgeColumn, PatternTensor, StitchColumn, decode_pattern
+from gcd_dataset.tensors import (
+    CurveKind,
+    EdgeColumn,
+    PatternTensor,
+    StitchColumn,
+    closure_rows,
+    decode_pattern,
+    sewn_rows,
+)
 
 Fault = tuple[Check, str]
 """A check, and the fault in words without figures of the garment: equal faults are counted together."""
 
 FIELDS_READ = (
-    "meta", "spec", "design", "measures", "panels", "edges", "stitches", "body", "faces", "uv", "panel_id", "seams",
-    "corners", "uv_vertex", "box", "verts", "points",
+    "meta", "spec", "design", "measures", "panels", "edges", "stitches", "closures", "body", "faces", "uv", "panel_id",
+    "seams", "corners", "uv_vertex", "box", "verts", "points",
 )  # fmt: skip
 """The fields that are examined; pictures and captions are not."""
 ARRAYS = tuple(field for field in FIELDS_READ if field not in ("meta", "spec", "design", "measures"))
-FLOATS = ("panels", "edges", "body", "uv", "box", "verts", "points")
+FLOATS = ("panels", "edges", "closures", "body", "uv", "box", "verts", "points")
 PLACED = ("verts", "box")  # in this order: the drape, or the mesh before sewing
 
 SMALLEST, LARGEST = 10.0, 400.0  # cm: extent of a draped garment, belts and trains included
@@ -78,6 +86,7 @@ class CheckedGarment:
             panels=self.arrays["panels"],
             edges=self.arrays["edges"],
             stitches=self.arrays["stitches"],
+            closures=self.arrays.get("closures", sewn_rows(len(self.arrays["stitches"]))),
             panel_names=tuple(meta["panel_names"]),
             panel_labels=tuple(meta["panel_labels"]),
             edge_labels=tuple(meta["edge_labels"]),
@@ -87,11 +96,8 @@ class CheckedGarment:
     def pattern(self) -> Pattern | None:
         """The pattern; ``None`` where its arrays are missing or contradict each other."""
         try:
-            pattern = None if self.tensor is None else decode_pattern(self.tensor)
-            if pattern is None or "closures" not in ((self.spec or {}).get("pattern") or {}):
-                return pattern
-            return replace(pattern, seams=pattern_from_spec(self.spec, self.key).seams)
-        except (PatternError, SpecError):
+            return None if self.tensor is None else decode_pattern(self.tensor)
+        except PatternError:
             return None
 
 
@@ -148,7 +154,7 @@ def _reference_faults(garment: CheckedGarment) -> Iterator[str]:
     if garment.has("panels") and len(garment.meta["panel_names"]) != len(arrays["panels"]):
         yield "panels and meta[panel_names] differ in length"
     if garment.tensor is not None and garment.pattern is None:
-        yield "panels, edges and stitches are not a pattern"
+        yield "panels, edges, stitches and closures are not a pattern"
     yield from _spec_faults(garment)
 
 
@@ -158,7 +164,7 @@ def _are_rows(ids: np.ndarray, target: np.ndarray | None) -> bool:
 
 
 def _spec_faults(garment: CheckedGarment) -> Iterator[str]:
-    """A specification with other panels or stitches than the arrays."""
+    """A specification with other panels, stitches or closures than the arrays."""
     pattern = (garment.spec or {}).get("pattern")
     if not isinstance(pattern, Mapping) or not garment.has("panels") or "stitches" not in garment.arrays:
         return
@@ -166,6 +172,14 @@ def _spec_faults(garment: CheckedGarment) -> Iterator[str]:
         yield "spec and panels have different panels"
     elif len(pattern.get("stitches", ())) != len(garment.arrays["stitches"]):
         yield "spec and stitches have different stitches"
+    elif garment.has("closures") and ("closures" in pattern or (garment.arrays["closures"] != sewn_rows(1)).any()):
+        try:
+            rows = closure_rows(pattern_from_spec(garment.spec, garment.key, source="spec"))
+        except (PatternError, SpecError) as error:
+            yield str(error)
+        else:
+            if not np.allclose(rows, garment.arrays["closures"]):
+                yield "spec and closures have different closures"
 
 
 def _pattern_faults(garment: CheckedGarment, pattern: Pattern) -> Iterator[Fault]:

@@ -29,6 +29,7 @@ FIELD_DESCRIPTIONS: Mapping[str, str] = {
     "panels": "the pattern as arrays: one row per panel",
     "edges": "one row per edge",
     "stitches": "one row per seam",
+    "closures": "one row per seam: sewn, open, zip or buttons, and the part of its length that is joined",
     "body": "weights of the body's shape components [standard deviations]",
     "faces": "triangles, rows of verts and box",
     "uv": "panel-plane coordinates of the seam-split vertices [cm]",

@@ -6,8 +6,9 @@ edge, seam, vertex, …, and ``gcd_dataset.shards.meta`` the keys of ``meta.json
 
 ``.z`` members are containers of named arrays (``gcd_dataset.shards.sections``). ``faces``, ``panel_id``, ``box`` and
 the order of ``points`` follow from the stored sections; a mesh in which they do not follow has the sections ``faces``,
-``panel_id`` or ``box``. Positions are stored to within half a ``POSITION_STEP``, ``uv`` half a ``UV_STEP``, normals as
-octahedral coordinates (Cigolle et al., JCGT 2014) within 0.23°. An array of a skipped step has no rows.
+``panel_id`` or ``box``. A pattern without the section ``closures`` is sewn from end to end. Positions are stored to
+within half a ``POSITION_STEP``, ``uv`` half a ``UV_STEP``, normals as octahedral coordinates (Cigolle et al., JCGT
+2014) within 0.23°. An array of a skipped step has no rows.
 """
 
 import contextlib
@@ -87,7 +88,7 @@ from gcd_dataset.shards.meta import (
 )
 from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
-from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor, StitchColumn, encode_pattern
+from gcd_dataset.tensors import COLUMNS, PanelColumn, PatternTensor, encode_pattern, sewn_rows
 
 if TYPE_CHECKING:
     from PIL import ImageFile
@@ -102,9 +103,11 @@ NO_PICTURE = (
 
 IDS = frozenset({"faces", "panel_id", "labels", "seams", "corners", "uv_vertex", "stitches"})
 """Fields that hold row numbers, int32."""
+DOUBLE = frozenset({"panels", "edges", "closures"})
+"""Fields of float64."""
 
 WIDTHS: Mapping[str, tuple[int, ...]] = {
-    "panels": (len(PanelColumn),), "edges": (len(EdgeColumn),), "stitches": (len(StitchColumn),), "body": (),
+    **{field: (len(columns),) for field, columns in COLUMNS.items()}, "body": (),
     "faces": (3,), "uv": (2,), "panel_id": (), "labels": (2,), "seams": (2,), "corners": (3,), "uv_vertex": (),
     "box": (3,), "verts": (3,), "points": (6,), "stretch": (2,), "gap": (), "pressure": (),
 }  # fmt: skip
@@ -112,6 +115,7 @@ WIDTHS: Mapping[str, tuple[int, ...]] = {
 
 SECTIONS: Mapping[str, tuple[str, ...]] = {
     **{field: (field,) for field in WIDTHS},
+    "closures": ("closures", "stitches"),
     "faces": ("faces", "corners", "uv_vertex"),
     "panel_id": ("panel_id", "faces_of"),
     "box": ("box", "uv", "uv_vertex", "rows_of", "panels"),
@@ -202,21 +206,32 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
         "panels": tensor.panels,
         "edges": tensor.edges,
         "stitches": np.asarray(tensor.stitches, np.int32),
+        **({} if all(seam.is_plain for seam in sample.pattern.seams) else {"closures": tensor.closures}),
         "body": np.asarray([] if sample.shape is None else sample.shape.weights, np.float32),
     }
     vertices = np.zeros((0, 3), np.float32) if drape is None else drape.vertices
+    maps = {} if sample.maps is None else {name: _half(array) for name, array in sample.maps.by_vertex.items()}
+    _require_rows(maps, vertices)
     return {
         "pattern.z": pack(pattern),
         "mesh.z": pack(_mesh_arrays(mesh or NO_MESH, tensor), MESH_CODINGS),
         "verts.z": pack({"verts": vertices}, {"verts": POSITION}),
         "points.z": _points(sample.points),
-        **({} if sample.maps is None else {MAPS: pack({f: _half(a) for f, a in sample.maps.by_vertex.items()})}),
+        **({MAPS: pack(maps)} if maps else {}),
     }
 
 
-@np.errstate(over="ignore")
 def _half(values: np.ndarray) -> np.ndarray:
-    return values.astype(np.float16)
+    """The values as float16; those beyond its range become its largest or smallest number."""
+    largest = np.finfo(np.float16).max
+    return np.clip(values, -largest, largest).astype(np.float16)
+
+
+def _require_rows(maps: Mapping[str, np.ndarray], vertices: np.ndarray) -> None:
+    """Raise ``ShardError`` for maps without one row for each vertex."""
+    for name, array in maps.items():
+        if len(array) != len(vertices):
+            raise ShardError(f"{name} has {len(array)} rows for {len(vertices)} vertices")
 
 
 def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
@@ -452,7 +467,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
         raise ShardError(f"sample {meta['key']}: its members contradict each other ({error}): {REMEDY}") from error
 
 
-PATTERN_FIELDS = ("meta", "panels", "edges", "stitches")
+PATTERN_FIELDS = ("meta", *COLUMNS)
 
 
 def stored_pattern(members: Mapping[str, Bytes]) -> PatternTensor:
@@ -460,7 +475,7 @@ def stored_pattern(members: Mapping[str, Bytes]) -> PatternTensor:
     field = decode_fields(members, PATTERN_FIELDS)
     meta = field["meta"]
     names: dict[str, Any] = {name: tuple(meta[name]) for name in ("panel_names", "panel_labels", "edge_labels")}
-    return PatternTensor(field["panels"], field["edges"], field["stitches"], **names, name=meta["key"])
+    return PatternTensor(**{name: field[name] for name in COLUMNS}, **names, name=meta["key"])
 
 
 REMEDY = "copy its shard again, or delete the shard and run gcd generate again"
@@ -475,9 +490,14 @@ def _decoded(members: Mapping[str, Bytes], fields: Sequence[str]) -> dict[str, A
     arrays: dict[str, np.ndarray] = {}
     sections = {section for field in fields for section in SECTIONS.get(field, ())}
     stored = {field: member_of(field) for field in fields if field in SECTIONS}
+    if MAPS in stored.values() and "verts.z" in members:
+        stored, sections = {**stored, "verts": "verts.z"}, {*sections, "verts"}
     for member in members_of(stored, stored):
         with _reading(member):
             arrays |= unpack(members[member], sections)
+    if "verts" in arrays:
+        with _reading(MAPS):
+            _require_rows({name: arrays[name] for name in ARRAYS[MAPS] if name in arrays}, arrays["verts"])
     found = {}
     for field in fields:
         if field in JOINT:
@@ -579,6 +599,7 @@ def _read_points(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "n 6"]
 
 
 DERIVED: Mapping[str, Callable[[Mapping[str, np.ndarray]], np.ndarray]] = {
+    "closures": lambda arrays: sewn_rows(len(arrays["stitches"])),
     "faces": _faces, "panel_id": _panel_id, "box": _box, "points": _read_points,
 }  # fmt: skip
 """Field to the function that derives it from its sections, unless it is stored itself."""

@@ -24,7 +24,7 @@ from gcd_dataset.files import make_folder, open_whole
 from gcd_dataset.records import MEASURES
 from gcd_dataset.shards.access import mapped, reading
 from gcd_dataset.shards.cache import make_room, touch
-from gcd_dataset.shards.codec import DECODERS, MISSING_MEASURE, SECTIONS, decode_fields, read_measures
+from gcd_dataset.shards.codec import DECODERS, DOUBLE, MISSING_MEASURE, SECTIONS, decode_fields, read_measures
 from gcd_dataset.shards.layout import Bytes, is_picture, key_of, member_of, members_of
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.sections import TYPES
@@ -35,7 +35,6 @@ MAGIC = b"gcdcol1\0"
 ALIGNED = 64  # bytes: the rows begin at a multiple of this
 MOST_OPEN = 2_048  # mapped files of a field; Linux allows a process 65,530 maps
 MEASURES_FIELD = "measures"
-DOUBLE = ("panels", "edges")  # fields of float64
 
 
 class Column(NamedTuple):

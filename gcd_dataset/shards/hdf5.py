@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 
 from gcd_dataset.files import drafted, user_path
-from gcd_dataset.shards.codec import IDS, WIDTHS, decode_fields
+from gcd_dataset.shards.codec import DOUBLE, IDS, WIDTHS, decode_fields
 from gcd_dataset.shards.layout import MOST_VIEWS, SCHEMA, Bytes, fields_of, garments_layout
 from gcd_dataset.shards.reader import ShardReader
 
@@ -30,7 +30,7 @@ MEMBER_OF = fields_of(garments_layout(caption=True, maps=True, views=MOST_VIEWS)
 
 def form_of(field: str) -> tuple[np.dtype, tuple[int, ...]]:
     """Type and row shape of a field; bytes for texts and pictures."""
-    kind = "<i4" if field in IDS else "<f8" if field in ("panels", "edges") else "<f4" if field in WIDTHS else "u1"
+    kind = "<i4" if field in IDS else "<f8" if field in DOUBLE else "<f4" if field in WIDTHS else "u1"
     return np.dtype(kind), WIDTHS.get(field, ())
 
 

@@ -89,7 +89,7 @@ def read_chart(name_or_path: Path | str) -> SizeChart:
     """One of ``CHARTS``, or the chart in a TOML file.
 
     Raises ``ConfigError`` with the file, the size and the fault: a hole or an overlap between two intervals, a measure
-    that a body lacks, a body outside its own intervals.
+    that a body lacks, parts of a body that exceed the whole, a body outside its own intervals.
     """
     if str(name_or_path) in CHARTS:
         path = Path(str(files("gcd_dataset.generator") / "data" / f"sizes_{name_or_path}.toml"))
@@ -119,7 +119,10 @@ def _body(entry: Mapping[str, Any], place: str) -> Measurements:
         raise ConfigError(str(error)) from error
     if missing := [name for name in MEASURES if name not in body.to_file_values()]:
         raise ConfigError(f"{place}: body lacks {', '.join(missing)}: a size has all measures: add them")
-    return body
+    try:
+        return body.require_parts()
+    except BodyError as error:
+        raise ConfigError(f"{place}: body: {error}") from error
 
 
 def _intervals(fits: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[float, float]]]:

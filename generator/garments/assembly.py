@@ -5,7 +5,7 @@ from functools import lru_cache
 from itertools import pairwise
 from math import fmod
 
-from gcd_dataset.errors import BodyError, PatternError
+from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.waistband import band_rise, waistband
@@ -18,7 +18,6 @@ MEASURES_USED = (
     "wrist", "bust", "back_width", "bust_line", "waist", "waist_back_width", "waist_line", "hips", "hip_back_width",
     "hips_line",
 )  # fmt: skip
-BACKS = (("back_width", "bust"), ("waist_back_width", "waist"), ("hip_back_width", "hips"))
 
 
 def draw_garment(
@@ -34,13 +33,14 @@ def draw_garment(
 
 def pieces(size: Measurements, design: GarmentDesign, *, mends: frozenset[Mend] = ALL_MENDS) -> Component:
     """The component of a garment, as ``draw_garment`` assembles it. Raises as ``draw_garment`` does."""
-    drawn = parts(_checked(size), design, mends)
+    drawn = parts(size.require(*MEASURES_USED).require_parts(), design, mends)
     placed = list(drawn[:1])
     for below in drawn[1:]:
         placed.append(below.placed_by("top", placed[-1], "bottom", gap=GAP))
     whole = Component.of(*placed)
-    for above, below in pairwise(placed):
-        whole = whole.sewn(above.interface("bottom"), below.interface("top"), gathered=True)
+    hems = ["bottom_from_front" if design.opens_band() else "bottom", "bottom"]
+    for (above, below), hem in zip(pairwise(placed), hems, strict=False):
+        whole = whole.sewn(above.interface(hem), below.interface("top"), gathered=True)
     if Mend.EXPORT_PIVOT not in mends:
         # GarmentCode moves each piece in its plane by the fractional part of its first corner's coordinates.
         corners = ([fmod(coordinate, 1.0) for coordinate in piece.outline.origin] for piece in whole.pieces)
@@ -89,17 +89,9 @@ def parts(size: Measurements, design: GarmentDesign, mends: frozenset[Mend] = AL
                 f"nothing can be sewn to the hem of a {meta.upper.value}: set meta.wb and meta.bottom to null"
             )
     if meta.wb is not None:
-        found.append(waistband(size, design.waistband, meta.wb, rise=rise).labelled(PanelRole.BODY))
+        shirt = design.front if design.opens_band() else None
+        band = waistband(size, design.waistband, meta.wb, rise=rise, shirt=shirt)
+        found.append(band.labelled(PanelRole.BODY))
     if meta.bottom is not None:
         found.append(bottom(size, design, mends))
     return tuple(found)
-
-
-def _checked(size: Measurements) -> Measurements:
-    """The measurements. Raises ``BodyError`` if a measure is missing, or a back not less than its girth."""
-    size.require(*MEASURES_USED)
-    for back, girth in BACKS:
-        if not 0 < getattr(size, back) < getattr(size, girth):
-            figures = f"{back} is {getattr(size, back):.1f} cm, and {girth} is {getattr(size, girth):.1f} cm"
-            raise BodyError(f"{figures}: a back is part of its girth, so correct the measurement file")
-    return size

@@ -42,6 +42,7 @@ from gcd_dataset.generator.garments.upper import STRAIGHT_SHIRT, Shirt
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 from gcd_dataset.jsonfile import read_toml
+from gcd_dataset.records import Closure
 from gcd_dataset.yamlfile import read_yaml
 
 
@@ -115,6 +116,10 @@ class GarmentDesign(Design):
             return ()
         left = self.left_half()
         return (self.right_half(),) if left is None else (self.right_half(), left)
+
+    def opens_band(self) -> bool:
+        """Whether the opening of a shirt goes through the waistband below it."""
+        return bool(self.meta.wb and self.halves()) and self.front.closure is not Closure.SEWN
 
     def right_half(self) -> UpperHalf:
         """The design of the right half of the upper body; without a collar if the left half differs."""

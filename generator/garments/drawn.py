@@ -12,7 +12,10 @@ from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
 
 SAME = 0.5  # cm: halves whose panels differ by less are symmetrical
-TORSO, BAND = ("right_ftorso", "right_btorso", "left_ftorso", "left_btorso"), ("wb_front", "wb_back")
+TORSO, BAND = (
+    ("right_ftorso", "right_btorso", "left_ftorso", "left_btorso"),
+    ("wb_front", "wb_front_right", "wb_front_left", "wb_back"),
+)
 ON_LIMBS = ("sleeve", "cuff")
 OTHER = "other"
 

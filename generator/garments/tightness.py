@@ -51,16 +51,17 @@ def trunk_rings(size: Measurements, design: GarmentDesign, wearer: Measurements 
     """The seams between the parts, a straight shirt at the hips, and the hem of a garment without a bottom.
 
     On another ``wearer`` also the rings that fit the body of ``size`` by construction: see ``_fitted_rings``. A shirt
-    with an open front makes no ring but the seam to the part below it.
+    with an open front makes no ring but the seam to a bottom: it opens the waistband.
     """
     body = wearer or size
     hung = _hung(size, design, body)
-    for (above, hem), (below, _) in pairwise(hung):
+    is_open = design.front.closure is Closure.OPEN and bool(design.halves())
+    for (above, hem), (below, _) in list(pairwise(hung))[is_open and design.opens_band() :]:
         cloth = min(above.length("bottom"), below.length("top"))
         yield Ring("a waist seam", cloth, girth_below_waist(body, hem), WIDER_WAIST)
     if wearer is not None:
         yield from _fitted_rings(size, design, wearer, hung[0][0])
-    if design.front.closure is Closure.OPEN and design.halves():
+    if is_open:
         return  # the front gives way
     yield from _shirt_over_hips(size, design, hung[0][1], body)
     last, hem = hung[-1]

@@ -201,7 +201,7 @@ def _one_shoulder(setting: Setting, halves: tuple[UpperHalf, ...], *, side: int)
 
 
 def shirt(size: Measurements, design: "GarmentDesign", *, fitted: bool, mends: frozenset[Mend]) -> Component:
-    """Two halves sewn at the centres; offers the ring ``bottom``."""
+    """Two halves sewn at the centres; offers the ring ``bottom``, and the same ``bottom_from_front``."""
     halves = design.right_half(), design.left_half()
     return _sewn_halves(size, *halves, design.front, fitted=fitted, mends=mends)
 
@@ -232,12 +232,9 @@ def _sewn_halves(
             whole = sewn_fronts(whole, right.interface(name), left.interface(name), front)
         else:
             whole = whole.sewn(right.interface(name), left.interface(name))
-    return whole.offering(
-        bottom=backwards(right.interface("front_bottom"))
-        + left.interface("front_bottom")
-        + backwards(left.interface("back_bottom"))
-        + right.interface("back_bottom")
-    )
+    front_right = backwards(right.interface("front_bottom"))
+    others = left.interface("front_bottom") + backwards(left.interface("back_bottom")) + right.interface("back_bottom")
+    return whole.offering(bottom=front_right + others, bottom_from_front=others + front_right)
 
 
 @dataclass(frozen=True, kw_only=True)

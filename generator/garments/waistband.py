@@ -1,13 +1,17 @@
-"""Waistbands, between upper and bottom. Panels ``wb_front`` and ``wb_back``."""
+"""Waistbands, between upper and bottom. Panels ``wb_front`` and ``wb_back``.
 
-from dataclasses import dataclass
+Under a shirt with a closure the opening goes through the band: its fronts are ``wb_front_right`` and ``wb_front_left``.
+"""
+
+from dataclasses import dataclass, replace
 from enum import Enum
 
+from gcd_dataset.generator.garments.front import FrontDesign, sewn_fronts
 from gcd_dataset.generator.garments.skirt import band, sector
 from gcd_dataset.generator.garments.space import Design, real
 from gcd_dataset.generator.garments.trunk import back_share, girth_at_rise, waist_back, waist_front
-from gcd_dataset.generator.pattern import Component, Piece
-from gcd_dataset.records import Measurements
+from gcd_dataset.generator.pattern import Component, Interface, Piece, backwards
+from gcd_dataset.records import Closure, Measurements
 
 FRONT, BACK = 20.0, -15.0  # cm: z of front and back before sewing, GarmentCode
 
@@ -33,28 +37,47 @@ class WaistbandDesign(Design):
     rise above the waist."""
 
 
-def waistband(size: Measurements, design: WaistbandDesign, kind: Waistband, *, rise: float) -> Component:
+def waistband(
+    size: Measurements, design: WaistbandDesign, kind: Waistband, *, rise: float, shirt: FrontDesign | None = None
+) -> Component:
     """A band with its lower edge at ``rise`` (0 hips, 1 waist), or lower if its top would rise above the waist.
 
-    Offers the rings ``top`` and ``bottom``.
+    Offers the rings ``top`` and ``bottom``, from the right side; ``top`` from the centre front where ``shirt``, the
+    front of the shirt above, opens the band.
     """
     low, height = band_rise(design, rise), design.width * size.hips_line
     top, bottom = (design.waist * girth_at_rise(size, at) for at in (low + design.width, low))
     top_back, bottom_back = top * back_share(size, low + design.width), bottom * back_share(size, low)
-    front = _half("wb_front", kind, top - top_back, bottom - bottom_back, height)
-    back = _half("wb_back", kind, top_back, bottom_back, height)
-    front, back = front.at(0, size.waist_level, FRONT), back.at(0, size.waist_level, BACK)
-    return (
-        Component.of(front, back)
-        .sewn(front.along("right"), back.along("right"))
-        .sewn(front.along("left"), back.along("left"))
-        .offering(
-            top=front.against("top", ruffle=front.outline.length("top") / waist_front(size))
-            + back.along("top", ruffle=back.outline.length("top") / waist_back(size)),
-            bottom=front.along("bottom", ruffle=front.outline.length("bottom") / waist_front(size))
-            + back.against("bottom", ruffle=back.outline.length("bottom") / waist_back(size)),
-        )
-    )  # fmt: skip
+    across, lower = top - top_back, bottom - bottom_back
+    if shirt is None:
+        fronts = [_half("wb_front", kind, across, lower, height).at(0, size.waist_level, FRONT)]
+    else:
+        across, lower = (0.5 * width + shirt.extension for width in (across, lower))
+        sides = (("right", -0.5 * across), ("left", 0.5 * across))
+        halves = ((_half(f"wb_front_{side}", kind, across, lower, height), x) for side, x in sides)
+        fronts = [half.at(x, size.waist_level, FRONT) for half, x in halves]
+    back = _half("wb_back", kind, top_back, bottom_back, height).at(0, size.waist_level, BACK)
+    right, left = fronts[0], fronts[-1]
+    whole = (
+        Component.of(*fronts, back)
+        .sewn(right.along("right"), back.along("right"))
+        .sewn(left.along("left"), back.along("left"))
+    )
+    if shirt is not None:
+        closure = Closure.OPEN if shirt.open_hem else shirt.closure
+        worn = replace(shirt, closure=closure, open_top=0.0, open_hem=0.0)
+        whole = sewn_fronts(whole, right.against("left"), left.along("right"), worn)
+
+    def gathered(edge: str) -> list[Interface]:
+        ruffle = len(fronts) * right.outline.length(edge) / waist_front(size)
+        return [front.against(edge, ruffle=ruffle) for front in fronts]
+
+    *first, last = gathered("top")
+    return whole.offering(
+        top=sum((last, back.along("top", ruffle=back.outline.length("top") / waist_back(size)), *first), ()),
+        bottom=sum(map(backwards, gathered("bottom")), ())
+        + back.against("bottom", ruffle=back.outline.length("bottom") / waist_back(size)),
+    )
 
 
 def band_rise(design: WaistbandDesign, rise: float) -> float:

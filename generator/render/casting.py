@@ -62,6 +62,15 @@ def render(
     return [done[row] for row in range(len(views))]
 
 
+def empty_picture(size: int, maps: Sequence[MapName]) -> Picture:
+    """A black picture of a garment that was not draped: its maps hold the background, its camera zeros."""
+    found = dict[str, np.ndarray]()
+    for name in maps:
+        kind, channels, background = MAP_TYPES[name]
+        found[name] = np.full((size, size, channels) if channels else (size, size), background, kind)
+    return Picture(np.zeros((size, size, 3), np.uint8), np.zeros((3, 3)), np.zeros((3, 4)), found)
+
+
 def start_pictures(
     scenes: Sequence[Scene],
     views: Sequence[View],

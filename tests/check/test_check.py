@@ -11,20 +11,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gcd_dataset.check import examine
+from gcd_dataset.check import checks, examine
 from gcd_dataset.check.checks import CHECKS, Harm
+from gcd_dataset.check.garments import CheckedGarment, garment_faults
 from gcd_dataset.check.report import Report
 from gcd_dataset.cli import main
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
+from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.making.run import index
 from gcd_dataset.records import BodyShape, Closure, Outcome, Pattern, Sample
 from gcd_dataset.release.bodies import FOLDER, KINDS
-from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
+from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.tar import END, tar_entry
 from tests.release import published
 from tests.shards.people import fill
+from tests.shards.test_codec import with_maps
+from tests.shards.test_integrity import resealed, shard_of
 
 TRAIN, TEST = 30, 10
 Samples = list[Sample]
@@ -439,6 +445,35 @@ def test_a_damaged_garment_is_named_and_the_others_are_examined(shards: Path) ->
     assert (found.count, found.examples) == (1, ("gcd_000000002",))
     assert "verts.z" in next(iter(found.details))
     assert report.splits[0].examined == TRAIN - 1
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"closed": [0.5]}, "spec: closure 0: closed must be 2 numbers"),
+        ({"closure": "velcro"}, "seam 0: closure velcro: give one of sewn"),
+        ({"closed": [0.5, 0.9]}, "spec and closures have different closures"),
+    ],
+)
+def test_closures_that_differ_from_the_arrays_are_named(change: dict[str, Any], fault: str, tmp_path: Path) -> None:
+    seams = good()[0].pattern.seams
+    zipped = (replace(seams[0], closure=Closure.ZIP, closed=(0.5, 1.0)), *seams[1:])
+    sample = with_pattern(good()[0], lambda pattern: replace(pattern, seams=zipped))
+    garment = CheckedGarment.of(GarmentDataset(written(tmp_path / "set", [sample]))[0])
+    assert not [text for check, text in garment_faults(garment) if check is checks.REFERENCES]
+    garment.spec["pattern"]["closures"][0].update(change)  # type: ignore[index]
+    [found] = [text for check, text in garment_faults(garment) if check is checks.REFERENCES]
+    assert found.startswith(fault)
+
+
+@pytest.mark.parametrize("row", [0, 1])
+def test_maps_of_another_garment_are_named(row: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    made = [encode_sample(with_maps(sample, np.ones(len(sample.drape.vertices)))) for sample in good()[:2]]  # type: ignore[union-attr]
+    made[row] = resealed({**made[row], "maps.z": made[1 - row]["maps.z"]})
+    folder = shard_of(tmp_path / "set", *made)
+    index(Place(folder))
+    assert main(["check", "--bytes", "--quiet", str(folder)]) == 1
+    assert f"sample gcd_{row:09d}, member maps.z: stretch has " in capsys.readouterr().out
 
 
 def test_a_split_that_cannot_be_opened_is_a_finding(shards: Path) -> None:

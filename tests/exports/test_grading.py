@@ -53,7 +53,7 @@ def test_a_size_is_the_pattern_of_its_body_and_a_rule_rejects_the_others() -> No
 def test_a_body_that_cannot_be_is_named_with_chart_and_size() -> None:
     body = replace(CHART.body("88"), waist=1.0)
     chart = replace(CHART, bodies={**CHART.bodies, "88": body})
-    with pytest.raises(BodyError, match=r"sizes_women\.toml: size 88: waist_back_width is .* correct the measurement"):
+    with pytest.raises(BodyError, match=r"sizes_women\.toml: size 88: waist_back_width is .* correct these measures"):
         grade(design_from_dict(TROUSERS), chart)
 
 

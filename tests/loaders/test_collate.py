@@ -109,6 +109,14 @@ def test_garments_without_a_mesh_make_a_batch(items: list[dict[str, Any]]) -> No
     assert collate_packed(bare)["faces"].shape == (0, 3)
 
 
+def test_a_picture_without_pixels_is_black_among_others(items: list[dict[str, Any]]) -> None:
+    undraped = {**items[0], "front": torch.zeros((3, 0, 0), dtype=torch.uint8)}
+    for collate in (collate_packed, collate_padded):
+        front = collate([undraped, items[1]])["front"]
+        assert torch.equal(front, torch.stack([torch.zeros_like(items[1]["front"]), items[1]["front"]]))
+    assert collate_packed([undraped, undraped])["front"].shape == (2, 3, 0, 0)
+
+
 def test_garment_k_of_a_packed_batch_is_item_k(items: list[dict[str, Any]], batch: PackedBatch) -> None:
     for k, item in enumerate(items):
         garment = batch.garment(k)

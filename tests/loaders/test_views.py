@@ -328,6 +328,22 @@ def test_what_an_item_lacks_is_named_at_once(worn_folder: Path) -> None:
         small()(FakeGarments(1)[0])
 
 
+@pytest.mark.parametrize(
+    ("transform", "field", "empty"),
+    [(small(maps=MAPS), "views", 0), (Scan(points=9, size=32), "scan", math.nan), (Sketch(size=32), "sketch", 255)],
+)
+def test_a_garment_that_was_not_draped_has_an_empty_picture(
+    worn_folder: Path, transform: Any, field: str, empty: float
+) -> None:
+    """The flat panels are not shown as if they were worn; a batch has the same fields and types as any other."""
+    item = dataset(worn_folder)[0]
+    drape = {**item["meta"]["drape"], "outcome": "CANNOT_BE_PUT_ON"}
+    drawn, undraped = transform(item), transform({**item, "meta": {**item["meta"], "drape": drape}})
+    assert torch.equal(undraped[field], torch.full_like(drawn[field], empty)) or undraped[field].isnan().all()
+    batch = collate_packed([drawn, undraped])
+    assert all(isinstance(batch[name], torch.Tensor) for name in drawn.keys() - item.keys())
+
+
 def test_fake_garments_are_rendered_on_a_given_body(worn: list[Sample]) -> None:
     wearer = build_body(worn[0].shape)  # type: ignore[arg-type]
     views = small(bodies=lambda name: wearer)

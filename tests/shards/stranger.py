@@ -56,6 +56,7 @@ def arrays(members: dict[str, bytes]) -> dict[str, np.ndarray]:
     """The fields of a sample that are arrays."""
     pattern, mesh = sections(members["pattern.z"]), sections(members["mesh.z"])
     found = {name: pattern[name] for name in ("panels", "edges", "stitches", "body")}
+    found["closures"] = pattern.get("closures", np.tile([0.0, 0.0, 1.0], (len(pattern["stitches"]), 1)))
     found |= {name: mesh[name] for name in ("corners", "uv", "uv_vertex", "labels", "seams")}
     found["faces"] = mesh["faces"] if "faces" in mesh else mesh["uv_vertex"][mesh["corners"]]
     panel_id = np.repeat(np.arange(len(mesh["faces_of"])), mesh["faces_of"])

@@ -20,7 +20,9 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import (
     MEASURES,
     BoxMesh,
+    Closure,
     Grade,
+    Maps,
     Measurements,
     NamedFabric,
     Outcome,
@@ -30,9 +32,10 @@ from gcd_dataset.records import (
     Strain,
 )
 from gcd_dataset.shards import FIELDS, MEMBERS, decode_fields, decode_sample, encode_sample
-from gcd_dataset.shards.codec import MESH_CODINGS, spread
+from gcd_dataset.shards.codec import MESH_CODINGS, spread, stored_pattern
 from gcd_dataset.shards.layout import garments_layout, is_picture
 from gcd_dataset.shards.sections import HEAD, Coding, pack, unpack
+from gcd_dataset.tensors import decode_pattern
 from tests.shards import stranger
 from tests.shards.folders import patterns, write_shard
 
@@ -350,6 +353,39 @@ def test_sections_that_contradict_each_other_are_one_sentence(sample: Sample) ->
         stored = dict(unpack(members["points.z"])) | points
         with pytest.raises(ShardError, match=r"^member points\.z"):
             decode_fields({**members, "points.z": pack(stored)}, ["points"])
+
+
+def test_closures_are_stored_where_a_seam_is_not_sewn(sample: Sample) -> None:
+    seams = (replace(sample.pattern.seams[0], closure=Closure.ZIP, closed=(0.3, 1.0)), sample.pattern.seams[1])
+    zipped = encode_sample(replace(sample, pattern=replace(sample.pattern, seams=seams)))
+    assert decode_sample(zipped).pattern.seams == decode_pattern(stored_pattern(zipped)).seams == seams
+    sewn = encode_sample(sample)
+    assert "closures" not in unpack(sewn["pattern.z"])
+    assert decode_fields(sewn, ["closures"])["closures"].tolist() == [[0, 0, 1], [0, 0, 1]]
+
+
+def with_maps(sample: Sample, pressure: np.ndarray) -> Sample:
+    count = len(pressure)
+    return replace(sample, maps=Maps(np.ones((count, 2)), np.zeros(count), pressure, softened=1.0))
+
+
+def test_maps_have_a_row_for_each_vertex(sample: Sample) -> None:
+    assert sample.drape is not None
+    count = len(sample.drape.vertices)
+    with pytest.raises(ShardError, match=f"000012 cannot be stored: stretch has 3 rows for {count} vertices"):
+        encode_sample(with_maps(sample, np.ones(3)))
+    members = encode_sample(with_maps(sample, np.ones(count)))
+    short = pack({**unpack(members["maps.z"]), "gap": np.zeros(3, np.float16)})
+    for wanted in (["gap"], None):
+        with pytest.raises(ShardError, match=rf"^member maps\.z: gap has 3 rows for {count} vertices: copy its shard"):
+            decode_fields({**members, "maps.z": short}, wanted)
+
+
+def test_a_pressure_is_stored_as_a_finite_number(sample: Sample) -> None:
+    assert sample.drape is not None
+    pressure, stored = (np.resize([2.0, most, np.nan], len(sample.drape.vertices)) for most in (1e6, 65504.0))
+    maps = decode_sample(encode_sample(with_maps(sample, pressure))).maps
+    assert maps is not None and np.array_equal(maps.pressure, stored, equal_nan=True)
 
 
 def test_a_reader_after_the_documentation_finds_the_same_arrays(tmp_path: Path) -> None:

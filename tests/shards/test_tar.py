@@ -84,8 +84,8 @@ pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptio
 
 COUNT = 3
 ARRAYS = {
-    "panels", "edges", "stitches", "body", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box",
-    "verts", "points",
+    "panels", "edges", "stitches", "closures", "body", "faces", "uv", "panel_id", "labels", "seams", "corners",
+    "uv_vertex", "box", "verts", "points",
 }  # fmt: skip
 
 

@@ -150,6 +150,21 @@ def test_faults_name_file_and_size(changes: dict[str, str], message: str, tmp_pa
         read_chart(path)
 
 
+@pytest.mark.parametrize(
+    ("measure", "given", "message"),
+    [
+        ("waist_back_width", 95.5, "waist_back_width is 95.5 cm, and waist is 70.0 cm"),
+        ("leg_circ", 91.0, "leg_circ is 91.0 cm, and hips is 91.0 cm"),
+        ("hips_line", 118.0, "head_l + waist_line + hips_line + crotch_hip_diff is "),
+    ],
+)
+def test_a_body_whose_parts_exceed_the_whole_is_named(measure: str, given: float, message: str, tmp_path: Path) -> None:
+    path = written(tmp_path)
+    path.write_text(re.sub(rf"\b{measure} = [\d.]+, ", f"{measure} = {given}, ", path.read_text(), count=1))
+    with pytest.raises(ConfigError, match=re.escape(f"{path}: size S: body: {message}")):
+        read_chart(path)
+
+
 def test_a_size_has_all_measures_and_a_chart_has_sizes(tmp_path: Path) -> None:
     path = written(tmp_path)
     path.write_text(re.sub(r"vert_bust_line = [\d.]+, ", "", path.read_text(), count=1))

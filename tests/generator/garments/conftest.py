@@ -62,6 +62,12 @@ DESIGNS: dict[str, Mapping[str, Any]] = {
         "meta": {"upper": "FittedShirt", "bottom": "SkirtCircle"},
         "front": {"closure": "buttons", "over": "right"},
     },
+    "open vest with a band": {
+        "meta": SHIRT | {"wb": "FittedWB"},
+        "front": {"closure": "open"},
+        "sleeve": {"sleeveless": True},
+        "waistband": {"width": 0.4},
+    },
     "open vest": {"meta": SHIRT, "front": {"closure": "open"}, "sleeve": {"sleeveless": True}},
     "flared shirt": {"meta": SHIRT, "shirt": {"flare": 1.4, "length": 2.0}},
     "skirt": {"meta": SKIRT},

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.errors import PatternError
+from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.generator.garments import (
     GarmentDesign,
     Reject,
@@ -41,6 +42,23 @@ def test_the_seam_of_the_fronts_has_the_closure(woman: Measurements, closure: Cl
     seams = front_seams(fronted(closure.value, collar=collar), woman)
     assert [seam.closure for seam in seams] == [closure] * (2 if collar else 1)
     assert all(seam.closed == (0.0, 1.0) for seam in seams)
+
+
+@pytest.mark.parametrize("bottom", [None, "SkirtCircle"])
+@pytest.mark.parametrize("closure", CLOSED)
+@pytest.mark.parametrize("upper", ["Shirt", "FittedShirt"])
+def test_the_opening_of_a_shirt_goes_through_its_waistband(
+    woman: Measurements, upper: str, closure: Closure, bottom: str | None
+) -> None:
+    meta = {"upper": upper, "wb": "StraightWB", "bottom": bottom}
+    pattern = draw_garment(woman, design_from_dict({"meta": meta, "front": {"closure": closure.value}}))
+    fronts = {"wb_front_right", "wb_front_left"}
+    [seam] = [seam for seam in pattern.seams if {seam.left.panel, seam.right.panel} == fronts]
+    assert (seam.closure, seam.closed) == (closure, (0.0, 1.0))
+    above = {s.left.panel for s in pattern.seams if s.right.panel == "wb_front_left"}
+    assert "left_ftorso" in above and "right_ftorso" not in above  # fronts and band open at one place
+    assert not [fault for fault in check_pattern(pattern) if fault.severity is Severity.ERROR]
+    assert sum(s.closure == closure for s in pattern.seams) == 2
 
 
 def test_an_open_vest_has_two_edges_where_a_sewn_one_has_a_seam(woman: Measurements) -> None:
