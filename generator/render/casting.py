@@ -66,6 +66,9 @@ def empty_picture(size: int, maps: Sequence[MapName]) -> Picture:
     """A black picture of a garment that was not draped: its maps hold the background, its camera zeros."""
     found = dict[str, np.ndarray]()
     for name in maps:
+        if name in VALUES:
+            found[name] = np.full((size, size, *VALUES[name]), np.nan, np.float32)
+            continue
         kind, channels, background = MAP_TYPES[name]
         found[name] = np.full((size, size, channels) if channels else (size, size), background, kind)
     return Picture(np.zeros((size, size, 3), np.uint8), np.zeros((3, 3)), np.zeros((3, 4)), found)
