@@ -14,7 +14,7 @@ from itertools import groupby
 from typing import Any, Generic, TypeVar, overload
 
 from gcd_dataset.devicenames import devices_name
-from gcd_dataset.generator.drapers import Draper, DraperAddress, DrapeReply, SharedDraper, addresses_for, rotated
+from gcd_dataset.generator.drapers import Draper, DraperAddress, DrapeReply, SharedDraper, addresses_for
 from gcd_dataset.generator.drapers.address import AT_ONCE
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.pipeline import (
@@ -223,7 +223,7 @@ class _WorkerShare:
     seed: int
     indices: tuple[int, ...]
     config: MakeConfig
-    addresses: tuple[DraperAddress, ...]  # the draping processes; none: the worker drapes on the CPU
+    address: DraperAddress | None  # the draping process; ``None``: the worker drapes on the CPU
     finished: Callable[[Sample], Any]
     pictured: bool
 
@@ -232,8 +232,8 @@ class _WorkerShare:
         with ExitStack() as opened:
             draper: Draper | None = None
             ahead = None
-            if self.addresses:
-                draper, ahead = opened.enter_context(SharedDraper(*self.addresses)), AHEAD
+            if self.address is not None:
+                draper, ahead = opened.enter_context(SharedDraper(self.address)), AHEAD
             elif self.config.stage == "drape":
                 from gcd_dataset.generator.drapers.local import LocalDraper
 
@@ -257,7 +257,7 @@ def _by_workers(
     # Resolve "auto" here: a worker that resolves it would initialise CUDA.
     config = replace(config, device=devices_name(devices))
     shares = [
-        _WorkerShare(seed, subset, config, rotated(addresses, k), finished, pictured)
+        _WorkerShare(seed, subset, config, addresses[k % len(addresses)], finished, pictured)
         for k, subset in enumerate(_round_robin(indices, config, workers))
     ]
     with streams(_WorkerShare.run, shares) as results:

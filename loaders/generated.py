@@ -18,7 +18,7 @@ from gcd_dataset import __version__
 from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import make_folder, user_path, write_whole
-from gcd_dataset.generator.drapers import SharedDraper, addresses_for, rotated
+from gcd_dataset.generator.drapers import DraperAddress, SharedDraper, addresses_for
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
 from gcd_dataset.generator.quality import core_seconds
@@ -121,7 +121,7 @@ class GeneratedGarments(Garments):
         self._recipe = recipe_of(self.config)
         # Created here, so that all workers share these draping processes, which end with this process, not with a
         # worker.
-        self._addresses = addresses_for(named_devices(self.config.device) if self.config.stage == "drape" else [])
+        self._addresses = addresses_for(named_devices(self.config.device) if self.config.stage == "drape" else ["cpu"])
         self.cache = None if cache_dir is None else user_path(cache_dir) / self._cache_name
         """The folder of this seed, recipe and version in ``cache_dir``; ``None`` without a cache."""
         self._sample_cache = None if self.cache is None else SampleCache(self.cache)
@@ -173,9 +173,12 @@ class GeneratedGarments(Garments):
         return [self._item(*entry) for entry in zip(self._several(positions), positions, strict=True)]
 
     def stream(self, indices: Iterable[int]) -> Iterator[Any]:
-        """Stream items; ``indices`` may be infinite. On a GPU the next garments are made meanwhile."""
+        """Stream items; ``indices`` may be infinite. On a GPU the next garments are made meanwhile.
+
+        A stream is draped on one GPU: to use several GPUs, run several streams, each in a worker.
+        """
         positions = (self._position(index) for index in indices)
-        if not self._addresses:
+        if self._address is None:
             return (self._item(self._several([position])[0], position) for position in positions)
         requested: deque[int] = deque()
 
@@ -206,11 +209,15 @@ class GeneratedGarments(Garments):
     def _make(self, elsewhere: bool, positions: Iterable[int], **options: Any) -> Iterator[Mapping[str, Bytes]]:
         with ExitStack() as opened:
             draper = None
-            if elsewhere and self._addresses:
-                worker = get_worker_info()
-                addresses = rotated(self._addresses, 0 if worker is None else worker.id)
-                draper = opened.enter_context(SharedDraper(*addresses))
+            if elsewhere and (address := self._address) is not None:
+                draper = opened.enter_context(SharedDraper(address))
             yield from produce(self._seed, positions, self.config, draper=draper, **options)
+
+    @property
+    def _address(self) -> DraperAddress | None:
+        """The draping process of this worker: workers take the addresses in turn."""
+        worker = get_worker_info()
+        return self._addresses[(0 if worker is None else worker.id) % len(self._addresses)]
 
     @property
     def _needs_pictures(self) -> bool:
@@ -222,7 +229,7 @@ class GeneratedGarments(Garments):
     def _drapes_elsewhere(self) -> bool:
         """Whether a draping process must drape: CUDA fails in a forked process, and each CUDA context takes memory."""
         in_worker = get_worker_info() is not None or os.getpid() != self._process
-        return bool(self._addresses) and in_worker
+        return self._address is not None and in_worker
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return self._several([position])[0]

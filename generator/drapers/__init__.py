@@ -5,8 +5,7 @@ How a request travels from a worker to the draping process and back:
 1. The main process creates an address for each draping process: a folder with a socket, and a lock that marks its owner
    (``address_for``). Workers inherit the address; nothing starts yet.
 2. The first worker that connects starts the draping process (``DraperAddress.connect``); a file lock keeps others from
-   starting a second one. Each GPU has two: one simulates while the other prepares a batch or takes pictures. Every
-   worker uses those of all GPUs.
+   starting a second one. Each GPU has two: one simulates while the other prepares a batch or takes pictures.
 3. ``in_order`` in the worker prepares designs, sends up to ``at_once`` requests ahead, and returns results in order.
    ``SharedDraper`` computes the host data of each job, and sends the request through the socket, with its arrays in a
    memory file.
@@ -24,16 +23,7 @@ Without a GPU each worker drapes on its CPU by itself (``LocalDraper``). The tas
 too.
 """
 
-from gcd_dataset.generator.drapers.address import DraperAddress, SharedDraper, address_for, addresses_for, rotated
+from gcd_dataset.generator.drapers.address import DraperAddress, SharedDraper, address_for, addresses_for
 from gcd_dataset.generator.drapers.draper import Draper, DrapeReply, DrapeRequest
 
-__all__ = [
-    "DrapeReply",
-    "DrapeRequest",
-    "Draper",
-    "DraperAddress",
-    "SharedDraper",
-    "address_for",
-    "addresses_for",
-    "rotated",
-]
+__all__ = ["DrapeReply", "DrapeRequest", "Draper", "DraperAddress", "SharedDraper", "address_for", "addresses_for"]

@@ -20,10 +20,10 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
-from multiprocessing.connection import Client, Connection, wait
+from multiprocessing.connection import Client, Connection
 from multiprocessing.reduction import recv_handle, send_handle
 from pathlib import Path
-from typing import IO, Any, Self, cast
+from typing import IO, Any, Self
 
 from gcd_dataset.errors import ConfigError, DrapeError
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
@@ -176,20 +176,14 @@ def address_for(device: str, number: int = 0) -> DraperAddress:
     return _addresses[key]
 
 
-def addresses_for(devices: Sequence[str]) -> tuple[DraperAddress, ...]:
-    """The addresses that workers share: two for each GPU; none without a GPU, where workers drape by themselves.
+def addresses_for(devices: Sequence[str]) -> tuple[DraperAddress | None, ...]:
+    """The addresses among which workers are distributed: two for each GPU; ``None`` if workers drape by themselves.
 
     >>> addresses_for(["cpu"])
-    ()
+    (None,)
     """
     gpus = [device for device in devices if device != "cpu"]
-    return tuple(address_for(device, number) for number in range(DRAPERS_PER_GPU) for device in gpus)
-
-
-def rotated(addresses: tuple[DraperAddress, ...], worker: int) -> tuple[DraperAddress, ...]:
-    """All addresses, first another one for each number of a ``worker``, which starts the process there."""
-    first = worker % max(len(addresses), 1)
-    return addresses[first:] + addresses[:first]
+    return tuple(address_for(device, number) for number in range(DRAPERS_PER_GPU) for device in gpus) or (None,)
 
 
 def socket_file(folder: Path) -> Path:
@@ -228,20 +222,15 @@ AT_ONCE = 24  # requests of each client: eleven clients fill both batches of a G
 
 
 class SharedDraper:
-    """Connections to the draping processes at some addresses, for one thread; starts a process if there is none.
+    """A connection to the draping process at an address, for one thread; starts the process if there is none.
 
-    Each request goes to the process with the fewest open requests of this client, the first of equals, so that faster
-    GPUs drape more garments. Raises ``DrapeError`` if a process cannot be started; the methods raise it if a process
-    fails or has ended.
+    Raises ``DrapeError`` if the process cannot be started; the methods raise it if the process fails or has ended.
     """
 
-    def __init__(self, *addresses: DraperAddress, at_once: int = AT_ONCE) -> None:
-        self._addresses = addresses
+    def __init__(self, address: DraperAddress, *, at_once: int = AT_ONCE) -> None:
+        self._address = address
         self.at_once = at_once
-        self._connections: list[Connection] = [addresses[0].connect()]
-        """Of the first addresses; the others follow when they get a request."""
-        self._open = [0] * len(addresses)
-        """Requests without a reply, by address."""
+        self._connection: Connection = address.connect()
 
     def send(self, request: DrapeRequest) -> None:
         from gcd_dataset.generator.drape.batches import PreparedJob
@@ -250,46 +239,42 @@ class SharedDraper:
         if request.prepared is None:
             with contextlib.suppress(Exception):  # raised again in the drape
                 request = replace(request, prepared=PreparedJob.of(request.job))
-        number = self._open.index(min(self._open))
-        if number == len(self._connections):
-            self._connections.append(self._addresses[number].connect())
         try:
-            send_object(self._connections[number], request)
+            send_object(self._connection, request)
         except OSError as error:
-            raise self._closed(number) from error
-        self._open[number] += 1
+            raise self._closed() from error
 
     def poll(self) -> bool:
-        return bool(wait(self._connections, 0))
+        try:
+            return self._connection.poll()
+        except OSError as error:
+            raise self._closed() from error
 
     def receive(self) -> DrapeReply:
-        number = self._connections.index(cast("Connection", wait(self._connections)[0]))
         try:
-            reply = self._connections[number].recv()
+            reply = self._connection.recv()
         except (EOFError, OSError) as error:
-            raise self._closed(number) from error
+            raise self._closed() from error
         if isinstance(reply, str):
-            raise self._failed(number, reply)
-        self._open[number] -= 1
+            raise self._failed(reply)
         return reply
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for connection in self._connections:
-            connection.close()
+        self._connection.close()
 
-    def _closed(self, number: int) -> DrapeError:
-        """The error that a draping process sent last; if it sent none, an error that says that it has ended."""
+    def _closed(self) -> DrapeError:
+        """The error that the draping process sent last; if it sent none, an error that says that it has ended."""
         with contextlib.suppress(EOFError, OSError):
-            while self._connections[number].poll():
-                if isinstance(last := self._connections[number].recv(), str):
-                    return self._failed(number, last)
+            while self._connection.poll():
+                if isinstance(last := self._connection.recv(), str):
+                    return self._failed(last)
         return DrapeError(
-            f"the process that drapes on {self._addresses[number].device} has ended, perhaps killed for lack of "
-            "memory: start again, with other programs off that device"
+            f"the process that drapes on {self._address.device} has ended, perhaps killed for lack of memory: start "
+            "again, with other programs off that device"
         )
 
-    def _failed(self, number: int, reason: str) -> DrapeError:
-        return DrapeError(f"while draping on {self._addresses[number].device}: {reason}")
+    def _failed(self, reason: str) -> DrapeError:
+        return DrapeError(f"while draping on {self._address.device}: {reason}")

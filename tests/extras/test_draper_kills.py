@@ -158,7 +158,7 @@ def test_a_failing_draper_reports_the_error_and_is_replaced(
     monkeypatch.setattr(DrapeJob, "require_drapeable", lambda job: None)  # else refused here
     with SharedDraper(address) as deaf, SharedDraper(address) as draper:
         deaf.send(replace(drape_request(0), picture=400))
-        assert deaf._connections[0].poll(120)  # its reply has begun; the unread rest blocks the draper's writer
+        assert deaf._connection.poll(120)  # its reply has begun; the unread rest blocks the draper's writer
         good = drape_request(1)
         torn = replace(good.job.box_mesh, labels={"strapless_top": np.array([10**6])})
         draper.send(replace(good, job=replace(good.job, box_mesh=torn)))

@@ -6,8 +6,6 @@ import shutil
 import socket
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from multiprocessing import Pipe
-from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, Self
 from unittest.mock import Mock
@@ -15,8 +13,7 @@ from unittest.mock import Mock
 import pytest
 
 from gcd_dataset.errors import DrapeError
-from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest, SharedDraper, address_for, rotated
-from gcd_dataset.generator.drapers.address import receive_object
+from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest, SharedDraper, address_for
 from gcd_dataset.generator.drapers.draper import make_reply
 from gcd_dataset.generator.drapers.process import ClientConnection, RequestQueue
 from gcd_dataset.generator.maker import produce
@@ -43,25 +40,14 @@ def test_all_workers_share_one_draping_process(tmp_path: Path, monkeypatch: pyte
     assert_all_same(cached, [[item] for item in made])
 
 
-def test_a_process_that_replies_sooner_gets_more_requests() -> None:
-    first, second = address_for("cpu"), replace(address_for("cpu"), folder=Path("other"))
-    assert [rotated((first, second), worker)[0] for worker in range(3)] == [first, second, first]
-    pipes = [Pipe(), Pipe()]
-    slow, fast = (theirs for _, theirs in pipes)
-    draper = SharedDraper(*(Mock(connect=lambda end=ours: end) for ours, _ in pipes))
-
-    def request(number: int) -> int:
-        draper.send(drape_request(number))
-        asked = slow if slow in wait([slow, fast]) else fast
-        return receive_object(asked).number * (1 if asked is fast else -1)
-
-    at_rest = start_of(drape_request(0))
-    assert [request(1), request(2)] == [-1, 2]
-    for number in (3, 4, 5):
-        assert not draper.poll()
-        fast.send(DrapeReply(number - 1, at_rest, None))
-        assert draper.receive().number == number - 1
-        assert request(number) == number
+def test_workers_take_the_draping_processes_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    ds = Apart(COUNT, address_for("cpu"))
+    ds._addresses = (address_for("cpu"), replace(address_for("cpu"), folder=Path("other")))
+    found = []
+    for number in range(3):
+        monkeypatch.setattr("gcd_dataset.loaders.generated.get_worker_info", lambda worker=number: Mock(id=worker))
+        found.append(ds._address)
+    assert found == [*ds._addresses, ds._addresses[0]]
 
 
 class StandIn:
@@ -101,7 +87,7 @@ def made_ahead(indices: Iterable[int], draper: StandIn, *, ahead: int, config: M
 
 def test_the_bodies_of_a_design_are_draped_once(monkeypatch: pytest.MonkeyPatch) -> None:
     draper = StandIn()
-    monkeypatch.setattr("gcd_dataset.loaders.generated.SharedDraper", lambda *addresses: draper)
+    monkeypatch.setattr("gcd_dataset.loaders.generated.SharedDraper", lambda address: draper)
     options: dict[str, Any] = {"bodies": "both", "fields": ["verts", "front", "meta"]}
     ds = Apart(4, address_for("cpu"), **options)
     one_by_one = [ds[0], ds[1]]
