@@ -56,7 +56,7 @@ def _worn_girth(cut: "_Cloth", worn: "_Cloth", plane: Plane) -> float:
     if not (rings := worn.rings(plane)):
         return np.nan
     ring = rings[0]
-    upright, lengths = replace(plane.as_cut, lower=0.0), _flat_lengths(ring)
+    upright, lengths = replace(plane.as_cut, reach=()), _flat_lengths(ring)
     levels = (ring[:, :, 6:].mean(axis=1) - upright.centre) @ upright.normal
     girth = cut.girth(upright.moved(float(np.average(levels, weights=lengths))))
     return girth if np.isfinite(girth) else float(lengths.sum())
@@ -128,9 +128,9 @@ class _Cloth:
         return float(min(by_panels.values(), default=np.nan))
 
     def rings(self, plane: Plane) -> list[Float[np.ndarray, "s 2 9"]]:
-        """The rings in a plane, and ``NEAR`` above and below it; where there are none, those in the plane lowered."""
-        for lowered in np.arange(0.0, plane.lower + NEAR, NEAR):
-            tried = (self.ring(plane.moved(by - lowered)) for by in (0.0, NEAR, -NEAR))
+        """The rings in a plane, and ``NEAR`` above and below it; where there are none, those within its reach."""
+        for away in (0.0, *plane.reach):
+            tried = (self.ring(plane.moved(away + by)) for by in (0.0, NEAR, -NEAR))
             if found := [ring for ring in tried if ring is not None]:
                 return found
         return []

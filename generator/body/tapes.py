@@ -22,7 +22,7 @@ ARM_ENDS = (0.015, 0.963)  # shoulder and wrist, as shares of the length of the 
 UPPER_ARM, ELBOW, WRIST = 0.28, 0.56, 1.0  # between shoulder and wrist; the elbow: Drillis and Contini (1966)
 KNEE, CALF = 0.6, 0.48  # heights over that of the crotch; the calf of drawn bodies is fullest at 0.46 to 0.5
 BELOW_CROTCH = 2.0  # cm: place of the thigh's section
-LOWERED = 2.0  # cm: how far a section at bust or waist may be lowered
+REACH = (-1.0, 1.0, -2.0, 2.0)  # cm: where cloth round bust or waist is looked for, lower and higher
 LEGS = (BodyPart.RIGHT_LEG, BodyPart.LEFT_LEG)
 ARMS = (BodyPart.RIGHT_ARM, BodyPart.LEFT_ARM)
 
@@ -39,8 +39,8 @@ class Plane:
     on_arm: bool = False
     beside: Float[np.ndarray, "3"] | None = None
     """A point that the cloth must not go round: inside the other leg."""
-    lower: float = 0.0
-    """How far down cloth is looked for that goes all round: below an armhole, or on a body wider than the band [cm]."""
+    reach: tuple[float, ...] = ()
+    """How far from it cloth is looked for that goes all round: below an armhole, above a sloping hem [cm]."""
 
     @cached_property
     def frame(self) -> Float[np.ndarray, "3 3"]:
@@ -79,8 +79,8 @@ def planes_of(body: Body, size: Measurements) -> dict[str, list[Plane]]:
     limbs = limbs_of(body)
     trunk, whole = limbs[BodyPart.TRUNK], _skin(body, BodyPart.TRUNK, *LEGS)
 
-    def level(height: float, skin: _Skin = whole, lower: float = 0.0) -> Plane:
-        return Plane(_at_height(trunk, height), UP, skin, lower=lower)
+    def level(height: float, skin: _Skin = whole, reach: tuple[float, ...] = ()) -> Plane:
+        return Plane(_at_height(trunk, height), UP, skin, reach=reach)
 
     nape = size.height - size.head_l
     waist = _nearest([level(size.waist_level + by) for by in WAIST_SEARCH], size.waist).centre[1]
@@ -90,9 +90,9 @@ def planes_of(body: Body, size: Measurements) -> dict[str, list[Plane]]:
     neck = Plane(behind, lean, _skin(body, BodyPart.TRUNK, BodyPart.HEAD))
     found = {
         "neck": [_nearest([neck.moved(by) for by in NECK_SEARCH], 0.0)],
-        "bust": [level(bust, lower=LOWERED)],
+        "bust": [level(bust, reach=REACH)],
         "underbust": [level(0.5 * (bust + waist))],
-        "waist": [level(waist, lower=LOWERED)],
+        "waist": [level(waist, reach=REACH)],
         "hips": [level(hips)],
     }
     crotch = hips - size.crotch_hip_diff
