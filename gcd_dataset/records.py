@@ -476,7 +476,7 @@ class Ease:
     """As cut: along the panels, at the place where the pattern has it."""
     body: float = nan
     worn: float = nan
-    """As worn: along the panels, without stretch, at the place where the draped garment has it. NaN for lengths."""
+    """As worn: as cut, at the mean level that the pattern has for the cloth there in the drape. NaN for lengths."""
 
     @property
     def ease(self) -> float:
