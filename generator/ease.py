@@ -4,6 +4,9 @@ A figure of cloth is the length of a section with a plane, measured in the panel
 contributes the length of the cut in ``BoxMesh.uv``, so neither stretch nor folds count. As cut, the plane cuts the
 panels where the pattern has them, see ``placed_as_cut``. A section of a drape rises and falls in its folds, so it is
 longer than the cloth is wide. As worn, therefore, the girth is that as cut at the mean level of the drape's section.
+
+Planes are level at the trunk, and normal to the axis of the limb at arms and legs: of the right one, or of the left one
+if no cloth goes round the right one. A skirt goes round both legs, in a level plane.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,14 +15,22 @@ from dataclasses import astuple, replace
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.generator.body.limbs import FRONT, UP
-from gcd_dataset.generator.body.section import loops, section
-from gcd_dataset.generator.body.tapes import BELOW_CROTCH, Plane, planes_of, unit
+from gcd_dataset.generator.body.limbs import FRONT, UP, along_arm, leg_of, limbs_of
+from gcd_dataset.generator.body.section import Plane, Skin, loops, section, skin_of, unit
 from gcd_dataset.generator.dressing.as_cut import placed_as_cut
 from gcd_dataset.generator.garments.rules import NECKLINE, neckline_girth
-from gcd_dataset.records import EASE, Body, BoxMesh, Ease, Measurements, PanelRole, Pattern
+from gcd_dataset.records import EASE, Body, BodyPart, BoxMesh, Ease, Measurements, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
 
+WAIST_SEARCH = np.arange(-3.0, 4.01, 0.5)  # cm about ``waist_level``, which is 0.3 to 2 cm below the waist
+NECK_SEARCH = np.arange(0.0, 6.01)  # cm above the nape: the neck is narrowest there
+NECK_LEAN = np.radians(20.0)  # slope of the neck's section, down from nape to throat
+UPPER_ARM, ELBOW, WRIST = 0.28, 0.56, 1.0  # between shoulder and wrist; the elbow: Drillis and Contini (1966)
+KNEE, CALF = 0.6, 0.48  # heights over that of the crotch; the calf of drawn bodies is fullest at 0.46 to 0.5
+BELOW_CROTCH = 2.0  # cm: place of the thigh's section
+REACH = (-1.0, 1.0, -2.0, 2.0)  # cm: where cloth round bust or waist is looked for, lower and higher
+LEGS = (BodyPart.RIGHT_LEG, BodyPart.LEFT_LEG)
+ARMS = (BodyPart.RIGHT_ARM, BodyPart.LEFT_ARM)
 DECIMALS = 2
 NEAR = 2.0  # cm: a seam so near counts by its shorter side, a hem so near as cloth at the landmark
 AROUND = 1.99 * np.pi  # rad, about the body: a section over a smaller angle is open, as in a slit or at a sloping hem
@@ -33,7 +44,7 @@ def ease_of(
 
     ``body`` is the body that the garment is draped on, ``size`` its measures with the legs together.
     """
-    planes, found = planes_of(body, size), dict[str, Ease]()
+    planes, found = _planes(body, size), dict[str, Ease]()
     cut = _Cloth(mesh, placed_as_cut(mesh, pattern, body, size, waist=float(planes["waist"][0].centre[1])))
     is_worn = vertices is not None and np.isfinite(vertices).all()
     worn = _Cloth(mesh, np.asarray(vertices, float)[mesh.uv_vertex], cut.corners) if is_worn else None
@@ -53,9 +64,9 @@ def ease_of(
 
 def _worn_girth(cut: "_Cloth", worn: "_Cloth", plane: Plane) -> float:
     """Girth as cut at the mean level of a section of the drape [cm]; that section's length where no cut goes round."""
-    if not (rings := worn.rings(plane)):
+    ring = next(iter(worn.rings(plane)), None)
+    if ring is None:
         return np.nan
-    ring = rings[0]
     upright, lengths = replace(plane.as_cut, reach=()), _flat_lengths(ring)
     levels = (ring[:, :, 6:].mean(axis=1) - upright.centre) @ upright.normal
     girth = cut.girth(upright.moved(float(np.average(levels, weights=lengths))))
@@ -91,6 +102,52 @@ def _lengths(cut: "_Cloth", planes: Mapping[str, list[Plane]], mesh: BoxMesh, si
         above = length(along, lambda at: (up @ at > up @ elbow) & (side * at[0] > 0.0))
         found["sleeve"] = Ease(above, size.arm_length)
     return found
+
+
+# -------------------------------------------------------------------------------------------------------------- planes
+
+
+def _planes(body: Body, size: Measurements) -> dict[str, list[Plane]]:
+    """The planes of each girth, in the order in which they are tried."""
+    limbs = limbs_of(body)
+    trunk, whole = limbs[BodyPart.TRUNK], skin_of(body, BodyPart.TRUNK, *LEGS)
+
+    def level(height: float, skin: Skin = whole, reach: tuple[float, ...] = ()) -> Plane:
+        return Plane(trunk.at_height(height), UP, skin, reach=reach)
+
+    nape = size.height - size.head_l
+    waist = _nearest([level(size.waist_level + by) for by in WAIST_SEARCH], size.waist).centre[1]
+    bust, hips = nape - size.vert_bust_line, waist - size.hips_line
+    behind = np.array([trunk.origin[0], nape, trunk.origin[2] - 0.5 * trunk.deep])
+    lean = np.array([0.0, np.cos(NECK_LEAN), np.sin(NECK_LEAN)])
+    neck = Plane(behind, lean, skin_of(body, BodyPart.TRUNK, BodyPart.HEAD))
+    found = {
+        "neck": [_nearest([neck.moved(by) for by in NECK_SEARCH], 0.0)],
+        "bust": [level(bust, reach=REACH)],
+        "underbust": [level(0.5 * (bust + waist))],
+        "waist": [level(waist, reach=REACH)],
+        "hips": [level(hips)],
+    }
+    crotch = hips - size.crotch_hip_diff
+    legs = [(part, leg) for part in LEGS if (leg := leg_of(body, part))]
+    skins, both = [skin_of(body, part) for part, _ in legs], skin_of(body, *LEGS)
+    for name, height in {"thigh": crotch - BELOW_CROTCH, "knee": KNEE * crotch, "calf": CALF * crotch}.items():
+        centres = [leg.at_height(height) for _, leg in legs]
+        others = centres[::-1] if len(legs) > 1 else [None]
+        found[name] = [
+            Plane(centre, -leg.axis, skin, beside=other)
+            for (_, leg), skin, centre, other in zip(legs, skins, centres, others, strict=False)
+        ]
+        found[name].append(level(height, both))
+    arms = [(limbs[part], skin_of(body, part)) for part in ARMS if part in limbs]
+    for name, place in {"upper_arm": UPPER_ARM, "elbow": ELBOW, "wrist": WRIST}.items():
+        found[name] = [Plane(along_arm(arm, place), arm.axis, skin, on_arm=True) for arm, skin in arms]
+    return found
+
+
+def _nearest(planes: list[Plane], wanted: float) -> Plane:
+    """The plane in which the tape's length is nearest to a girth [cm]."""
+    return planes[int(np.argmin(np.nan_to_num([abs(plane.girth() - wanted) for plane in planes], nan=np.inf)))]
 
 
 # --------------------------------------------------------------------------------------------------------------- cloth

@@ -3,11 +3,11 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from gcd_dataset.generator.body.limbs import FRONT, Limb, limbs_of
-from gcd_dataset.generator.body.tapes import ARMS, along_arm, unit
+from gcd_dataset.generator.body.limbs import FRONT, Limb, along_arm, limbs_of
+from gcd_dataset.generator.body.section import unit
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
-from gcd_dataset.records import Body, BoxMesh, EdgeRole, Measurements, PanelRole, Pattern
+from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, Measurements, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
 
 UPPER_EDGES = frozenset({EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR, EdgeRole.STRAPLESS_TOP})
@@ -46,7 +46,7 @@ def placed_as_cut(
     held &= np.isin(every, trunk.vertices)
     placed[:, 1] = height + (start - height)[held if held.any() else trunk.vertices].mean()
     found = placed[mesh.uv_vertex]
-    for part in ARMS:
+    for part in (BodyPart.RIGHT_ARM, BodyPart.LEFT_ARM):
         if arm := limbs_of(body).get(part):
             own = on_sleeve & (np.sign(mesh.vertices[mesh.faces, 0].sum(axis=1)) == np.sign(arm.origin[0]))
             rows = np.unique(mesh.corners[own])

@@ -126,10 +126,8 @@ class FlatCloth:
         share = np.bincount(corner.ravel(), np.repeat(areas, 3))
         heat = _factors(diags_array(share) + HEATED * weighted @ along).solve(share * np.isin(self.vertices, top))
         value = np.log(np.maximum(heat, np.finfo(float).tiny))[corner]
-        (x, y), (to_x, to_y) = (self.uv[:, k].T - self.uv[:, 0].T for k in (1, 2))
-        first, second = value[:, 1] - value[:, 0], value[:, 2] - value[:, 0]
-        up = np.stack([first * to_y - second * y, second * x - first * to_x], axis=1)
-        up *= np.sign(x * to_y - y * to_x)[:, None]
+        sides, rises = self.uv[:, 1:] - self.uv[:, :1], value[:, 1:] - value[:, :1]
+        up = np.einsum("fij,fj->fi", np.linalg.pinv(sides), rises)
         return up / np.maximum(np.linalg.norm(up, axis=1), np.finfo(float).tiny)[:, None]
 
     def _laplacian(
