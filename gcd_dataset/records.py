@@ -377,6 +377,13 @@ class BoxMesh(Record):
         """Vertices 0 … n-1 lie on seams."""
         return int(self.seams[:, 0].max()) + 1 if len(self.seams) else 0
 
+    @property
+    def panel_of_row(self) -> Int[np.ndarray, " c"]:
+        """The panel of each row of ``uv``; 0 for rows without a face."""
+        panel = np.zeros(len(self.uv), int)
+        panel[self.corners] = self.panel_id[:, None]
+        return panel
+
 
 NO_MESH = BoxMesh(
     vertices=np.zeros((0, 3)),

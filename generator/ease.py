@@ -161,10 +161,8 @@ class _Cloth:
     ) -> None:
         sleeves = np.array([label == PanelRole.ARM for label in mesh.panel_labels])[mesh.panel_id]
         self._faces = {on_arms: mesh.corners[sleeves == on_arms] for on_arms in (False, True)}
-        panel = np.zeros(len(mesh.uv))
-        panel[mesh.corners] = mesh.panel_id[:, None]
         self.corners = corners
-        self._columns = np.column_stack([mesh.uv, panel, corners if as_cut is None else as_cut])
+        self._columns = np.column_stack([mesh.uv, mesh.panel_of_row, corners if as_cut is None else as_cut])
 
     def section(self, plane: Plane) -> Float[np.ndarray, "s 2 9"]:
         """The section with a plane: segments with their places in its frame, in the panel, the panel and the cut."""

@@ -63,9 +63,7 @@ def tube(*widths: float, height: float = 20.0, top: float = 118.0) -> tuple[Patt
 
 def rolled(mesh: BoxMesh, pattern: Pattern, radius: float, fold: float = 0.0) -> Float[np.ndarray, "v 3"]:
     """The tubes round a cylinder about the trunk, in folds of depth ``fold`` that rise and fall by twice that [cm]."""
-    panel = np.zeros(len(mesh.uv), int)
-    panel[mesh.corners] = mesh.panel_id[:, None]
-    at = np.zeros((len(mesh.vertices), 3))
+    panel, at = mesh.panel_of_row, np.zeros((len(mesh.vertices), 3))
     for row, each in enumerate(pattern.panels):
         own = panel == row
         u = mesh.uv[own, 0] / np.ptp(mesh.uv[own, 0])
