@@ -44,7 +44,8 @@ def placed_as_cut(
         rise[skirts[mesh.panel_id]] = skirt.cloth.towards(skirt.top)
     height = trunk.integrated(rise[~on_sleeve], start)
     held &= np.isin(every, trunk.vertices)
-    placed[:, 1] = height + (start - height)[held if held.any() else trunk.vertices].mean()
+    if len(trunk.vertices):
+        placed[:, 1] = height + (start - height)[held if held.any() else trunk.vertices].mean()
     found = placed[mesh.uv_vertex]
     for part in (BodyPart.RIGHT_ARM, BodyPart.LEFT_ARM):
         if arm := limbs_of(body).get(part):

@@ -15,7 +15,7 @@ from gcd_dataset.generator.mesh.triangulate import flat_areas
 from gcd_dataset.records import BoxMesh
 
 WEAK = 1e-9  # weight of the values of ``integrated``, beside 1 for each side
-HEATED = 25.0  # cm²: how far heat spreads in ``towards``: a few centimetres, a small part of a skirt
+HEATED = 8.0  # cm²: how far heat spreads in ``towards``: a few centimetres, a small part of a skirt
 LEAST_WEIGHT = 0.01  # lower limit of cotangent weights: positive weights give the maximum principle
 
 
@@ -112,6 +112,8 @@ class FlatCloth:
         """
         wanted = np.einsum("fkd,fd->kf", self.uv[:, [2, 0, 1]] - self.uv[:, [1, 2, 0]], gradient).ravel()
         (along, weighted), row, result = self._differences, self.vertices, np.zeros(self.size)
+        if not len(row):
+            return result
         matrix = weighted @ along + WEAK * eye_array(len(row))
         result[row] = _factors(matrix).solve(weighted @ wanted + WEAK * near[row])
         return result
@@ -123,7 +125,7 @@ class FlatCloth:
         """
         (along, weighted), areas = self._differences, np.abs(flat_areas(self.uv))
         corner = np.searchsorted(self.vertices, self.faces)
-        share = np.bincount(corner.ravel(), np.repeat(areas, 3))
+        share = np.bincount(corner.ravel(), np.repeat(areas / 3, 3))
         heat = _factors(diags_array(share) + HEATED * weighted @ along).solve(share * np.isin(self.vertices, top))
         value = np.log(np.maximum(heat, np.finfo(float).tiny))[corner]
         sides, rises = self.uv[:, 1:] - self.uv[:, :1], value[:, 1:] - value[:, :1]
