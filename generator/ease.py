@@ -64,10 +64,10 @@ def ease_of(
 
 def _worn_girth(cut: "_Cloth", worn: "_Cloth", plane: Plane) -> float:
     """Girth as cut at the mean level of a section of the drape [cm]; that section's length where no cut goes round."""
-    ring = next(iter(worn.rings(plane)), None)
-    if ring is None:
+    if not (rings := worn.rings(plane)):
         return np.nan
-    upright, lengths = replace(plane.as_cut, reach=()), _flat_lengths(ring)
+    ring, upright = rings[0], replace(plane.as_cut, reach=())
+    lengths = _flat_lengths(ring)
     levels = (ring[:, :, 6:].mean(axis=1) - upright.centre) @ upright.normal
     girth = cut.girth(upright.moved(float(np.average(levels, weights=lengths))))
     return girth if np.isfinite(girth) else float(lengths.sum())

@@ -42,9 +42,9 @@ def placed_as_cut(
     skirts = (roles == PanelRole.LEG) & ~np.array(list(map(is_trouser_leg, mesh.panel_names)))
     if skirt := Skirt.of(mesh, skirts):
         rise[skirts[mesh.panel_id]] = skirt.cloth.towards(skirt.top)
-    height = trunk.integrated(rise[~on_sleeve], start)
     held &= np.isin(every, trunk.vertices)
     if len(trunk.vertices):
+        height = trunk.integrated(rise[~on_sleeve], start)
         placed[:, 1] = height + (start - height)[held if held.any() else trunk.vertices].mean()
     found = placed[mesh.uv_vertex]
     for part in (BodyPart.RIGHT_ARM, BodyPart.LEFT_ARM):

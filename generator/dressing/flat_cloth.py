@@ -112,8 +112,6 @@ class FlatCloth:
         """
         wanted = np.einsum("fkd,fd->kf", self.uv[:, [2, 0, 1]] - self.uv[:, [1, 2, 0]], gradient).ravel()
         (along, weighted), row, result = self._differences, self.vertices, np.zeros(self.size)
-        if not len(row):
-            return result
         matrix = weighted @ along + WEAK * eye_array(len(row))
         result[row] = _factors(matrix).solve(weighted @ wanted + WEAK * near[row])
         return result
@@ -189,8 +187,7 @@ class FlatCloth:
 
 def _factors(matrix: csc_array) -> SuperLU:
     """The factors of a matrix, symmetric and positive definite: no pivots off the diagonal."""
-    options = {"SymmetricMode": True}
-    return splu(csc_array(matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    return splu(csc_array(matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 def _graph(
