@@ -377,6 +377,13 @@ class BoxMesh(Record):
         """Vertices 0 … n-1 lie on seams."""
         return int(self.seams[:, 0].max()) + 1 if len(self.seams) else 0
 
+    @property
+    def panel_of_row(self) -> Int[np.ndarray, " c"]:
+        """The panel of each row of ``uv``; 0 for rows without a face."""
+        panel = np.zeros(len(self.uv), int)
+        panel[self.corners] = self.panel_id[:, None]
+        return panel
+
 
 NO_MESH = BoxMesh(
     vertices=np.zeros((0, 3)),
@@ -476,7 +483,7 @@ class Ease:
     """As cut: along the panels, at the place where the pattern has it."""
     body: float = nan
     worn: float = nan
-    """As worn: along the panels, without stretch, at the place where the draped garment has it. NaN for lengths."""
+    """As worn: as cut, at the mean level that the pattern has for the cloth there in the drape. NaN for lengths."""
 
     @property
     def ease(self) -> float:

@@ -67,6 +67,7 @@ CASES: Mapping[str, str] = {
     "remote": "benchmarks.cases.remote",
     "render": "benchmarks.cases.render",
     "scale": "benchmarks.cases.scale",
+    "waistband": "benchmarks.cases.waistband",
 }
 """Case to its module, imported on use: each has heavy dependencies of its own."""
 

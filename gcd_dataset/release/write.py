@@ -181,9 +181,7 @@ def _measures(measurements: Measurements, body_sample: str | None) -> dict[str, 
 
 def _meshes(key: str, mesh: BoxMesh, drape: Drape, drawn: PatternDrawing) -> dict[str, bytes]:
     """Both PLY files: a split vertex for each row of ``uv``, sorted by welded vertex. Raises ``ShardError``."""
-    panel_of_row = np.zeros(len(mesh.uv), np.int64)
-    panel_of_row[mesh.corners] = mesh.panel_id[:, None]
-    texture = (mesh.uv + drawn.shifts[panel_of_row]) / drawn.size
+    texture = (mesh.uv + drawn.shifts[mesh.panel_of_row]) / drawn.size
     rows = np.argsort(mesh.uv_vertex, kind="stable")
     number = np.empty_like(rows)
     number[rows] = np.arange(len(rows))

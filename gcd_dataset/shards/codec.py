@@ -236,13 +236,11 @@ def _require_rows(maps: Mapping[str, np.ndarray], vertices: np.ndarray) -> None:
 
 def _mesh_arrays(mesh: BoxMesh, tensor: PatternTensor) -> dict[str, np.ndarray]:
     """The sections of ``mesh.z``. Raises ``ShardError`` and ``ValueError`` for rows and labels that do not exist."""
-    vertices, panels = len(mesh.vertices), len(mesh.panel_names)
+    vertices, panels, owner = len(mesh.vertices), len(mesh.panel_names), mesh.panel_of_row
     labelled = [
         np.stack([ids, np.full(len(ids), tensor.edge_labels.index(label))], axis=1)
         for label, ids in mesh.labels.items()
     ]
-    owner = np.zeros(len(mesh.uv), np.int32)
-    owner[mesh.corners] = mesh.panel_id[:, None]
     arrays = {
         "faces_of": np.bincount(_rows(mesh.panel_id, panels, "panel_id"), minlength=panels).astype(np.uint32),
         "rows_of": np.bincount(owner, minlength=panels).astype(np.uint32),

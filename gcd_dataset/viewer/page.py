@@ -194,9 +194,7 @@ def _side(ref: EdgeRef, lengths: Sequence[float]) -> str:
 
 def _mesh_data(content: Content, mesh: BoxMesh, plan: LayPlan) -> dict[str, Any]:
     number = {panel.name: i for i, panel in enumerate(content.pattern.panels)}
-    panel_of_face = np.array([number[name] for name in mesh.panel_names])[mesh.panel_id]
-    panel_of = np.zeros(len(mesh.uv), int)
-    panel_of[mesh.corners] = panel_of_face[:, None]
+    panel_of = np.array([number[name] for name in mesh.panel_names])[mesh.panel_of_row]
     segments, seams = _segments(mesh, panel_of, plan)
     return {
         "flat": _coordinates(mesh.uv),

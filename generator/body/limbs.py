@@ -16,6 +16,7 @@ FRONT = np.array([0.0, 0.0, 1.0])
 UP = np.array([0.0, 1.0, 0.0])
 OUTLIERS = 0.5  # percent of the vertices at either end of each axis that a segmentation may mislabel
 OUTLIER_DISTANCE = 5.0  # cm beyond that percentile from which a vertex is left out
+ARM_ENDS = (0.015, 0.963)  # shoulder and wrist, as shares of the length of the body part
 MIN_POINTS = 8  # a part with as many points or fewer counts as missing
 
 
@@ -49,6 +50,10 @@ class Limb:
         """The inverse of ``local`` [cm]."""
         return np.asarray(local) @ self.frame + self.origin
 
+    def at_height(self, height: float) -> Float[np.ndarray, "3"]:
+        """The point of the axis at a height [cm]."""
+        return self.origin + (height - self.origin[1]) / self.axis[1] * self.axis
+
     def section(self, low: float, high: float) -> "Limb":
         """The section between two positions along the axis [cm]; the whole limb if the section has too few points."""
         along = self.skin @ self.axis
@@ -69,6 +74,13 @@ def limbs_of(body: Body) -> Mapping[BodyPart, Limb]:
             centre, axis = arm.mean(axis=0), _long_axis(arm)
             limbs[part] = _tube(arm, axis if abs(centre[0] + axis[0]) > abs(centre[0]) else -axis)  # off the trunk
     return MappingProxyType(limbs)
+
+
+def along_arm(arm: Limb, place: float) -> Float[np.ndarray, "3"]:
+    """The point of an arm's axis at a place between shoulder, 0, and wrist, 1 [cm]."""
+    along = (arm.skin - arm.origin) @ arm.axis
+    start, end = along.min() + np.array(ARM_ENDS) * np.ptp(along)
+    return arm.origin + (start + place * (end - start)) * arm.axis
 
 
 def leg_of(body: Body, part: BodyPart) -> Limb | None:

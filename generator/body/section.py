@@ -1,12 +1,18 @@
 """Plane sections of a mesh, and the lengths of tapes round them."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 import shapely
 from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
+
+from gcd_dataset.generator.body.limbs import UP
+from gcd_dataset.records import Body, BodyPart
 
 CROSSED = np.array(
     [[-1, -1, -1], [0, 1, 2], [1, 2, 0], [2, 1, 0], [2, 0, 1], [1, 0, 2], [0, 2, 1], [-1, -1, -1]], np.int8
@@ -104,3 +110,54 @@ def rough_girths(points: Float[np.ndarray, "n 2"], group: Float[np.ndarray, " n"
     # A row for each direction, contiguous in memory; opposite directions have equal widths.
     widths = np.maximum.reduceat(reach, starts, axis=1) - np.minimum.reduceat(reach, starts, axis=1)
     return widths.sum(axis=0, dtype=float) * 2 * np.pi / DIRECTIONS
+
+
+Skin = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]  # vertices and faces of parts of a body
+
+
+def skin_of(body: Body, *parts: BodyPart) -> Skin:
+    own = np.isin(body.parts, [part.value for part in parts])
+    a, b, c = body.faces.T
+    return np.asarray(body.vertices[own], float), (np.cumsum(own) - 1)[body.faces[own[a] & own[b] & own[c]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """The plane of a tape."""
+
+    centre: Float[np.ndarray, "3"]
+    """A point inside the part of the body that the tape goes round [cm]."""
+    normal: Float[np.ndarray, "3"]
+    skin: Skin | None = None
+    """The parts of the body that the tape goes round."""
+    on_arm: bool = False
+    beside: Float[np.ndarray, "3"] | None = None
+    """A point that the cloth must not go round: inside the other leg."""
+    reach: tuple[float, ...] = ()
+    """How far from it cloth is looked for that goes all round: below an armhole, above a sloping hem [cm]."""
+
+    @cached_property
+    def frame(self) -> Float[np.ndarray, "3 3"]:
+        """Columns: the normal, and two unit vectors in the plane."""
+        across = unit(np.cross(self.normal, np.eye(3)[np.abs(self.normal).argmin()]))
+        return np.stack([self.normal, across, np.cross(self.normal, across)], axis=1)
+
+    @property
+    def as_cut(self) -> Self:
+        """The plane for cloth as cut: trousers are cut upright."""
+        return self if self.on_arm else replace(self, normal=UP)
+
+    def moved(self, by: float) -> Self:
+        """The plane moved along its normal [cm]."""
+        return replace(self, centre=self.centre + by * self.normal)
+
+    def girth(self) -> float:
+        """Length of a tape round the skin [cm]; NaN where there is none."""
+        assert self.skin is not None
+        vertices, faces = self.skin
+        cut = section((vertices - self.centre) @ self.frame, faces, 0, 0.0)
+        return girth(cut.reshape(-1, 3)[:, 1:]) if len(cut) else np.nan
+
+
+def unit(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    return vector / np.linalg.norm(vector)

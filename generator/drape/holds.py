@@ -52,7 +52,7 @@ class BodyConstraints:
 
     @classmethod
     def of(cls, job: DrapeJob) -> Self:
-        mesh, panel_of_row = job.box_mesh, _panel_of_row(job.box_mesh)
+        mesh, panel_of_row = job.box_mesh, job.box_mesh.panel_of_row
         normal, offset = holds(job)
         return cls(
             normal.astype(np.float32),
@@ -212,10 +212,3 @@ def own_parts(mesh: BoxMesh, panel_of_row: Int[np.ndarray, " c"]) -> Int[np.ndar
     own = np.full(len(mesh.vertices), -1)
     own[mesh.uv_vertex] = axis[panel_of_row]
     return own
-
-
-def _panel_of_row(mesh: BoxMesh) -> Int[np.ndarray, " c"]:
-    """The panel of each row of ``uv``."""
-    panel = np.zeros(len(mesh.uv), int)
-    panel[mesh.corners] = mesh.panel_id[:, None]
-    return panel

@@ -6,14 +6,16 @@ from typing import Self
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csc_array, csr_array, diags_array, eye_array
 from scipy.sparse.csgraph import connected_components, dijkstra
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from gcd_dataset.generator.mesh.rows import distinct, stable_order
 from gcd_dataset.generator.mesh.triangulate import flat_areas
 from gcd_dataset.records import BoxMesh
 
+WEAK = 1e-9  # weight of the values of ``integrated``, beside 1 for each side
+HEATED = 8.0  # cm²: how far heat spreads in ``towards``: a few centimetres, a small part of a skirt
 LEAST_WEIGHT = 0.01  # lower limit of cotangent weights: positive weights give the maximum principle
 
 
@@ -97,17 +99,36 @@ class FlatCloth:
             a, b, diagonal = row[low[inner]], row[high[inner]], np.arange(size)
             at = np.concatenate([a, diagonal, b]), np.concatenate([b, diagonal, a])  # each column in order of its rows
             entries = np.concatenate([-weight[inner], total[is_free], -weight[inner]])
-            # Symmetric and positive definite: no pivots off the diagonal.
-            factors = splu(
-                csc_array((entries, at), shape=(size, size)),
-                "MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+            factors = _factors(csc_array((entries, at), shape=(size, size)))
             from_fixed = np.concatenate([-weight[rising] * known[low[rising]], -weight[falling] * known[high[falling]]])
             to = np.concatenate([row[high[rising]], row[low[falling]]])
             result[self.vertices[is_free]] = factors.solve(-np.bincount(to, from_fixed, minlength=size))
         return result
+
+    def integrated(self, gradient: Float[np.ndarray, "f 2"], near: Float[np.ndarray, " v"]) -> Float[np.ndarray, " v"]:
+        """(v) the function whose rise along the faces' sides is nearest to a gradient in their planes.
+
+        Least squares. In each connected component it has the mean of ``near``; 0 off the faces.
+        """
+        wanted = np.einsum("fkd,fd->kf", self.uv[:, [2, 0, 1]] - self.uv[:, [1, 2, 0]], gradient).ravel()
+        (along, weighted), row, result = self._differences, self.vertices, np.zeros(self.size)
+        matrix = weighted @ along + WEAK * eye_array(len(row))
+        result[row] = _factors(matrix).solve(weighted @ wanted + WEAK * near[row])
+        return result
+
+    def towards(self, top: Int[np.ndarray, " t"]) -> Float[np.ndarray, "f 2"]:
+        """Unit vectors in the faces' planes along the shortest ways to the ``top`` vertices.
+
+        They run up the heat that flows from there: Crane, Weischedel and Wardetzky, ACM Trans. Graph. 32(5), 2013.
+        """
+        (along, weighted), areas = self._differences, np.abs(flat_areas(self.uv))
+        corner = np.searchsorted(self.vertices, self.faces)
+        share = np.bincount(corner.ravel(), np.repeat(areas / 3, 3))
+        heat = _factors(diags_array(share) + HEATED * weighted @ along).solve(share * np.isin(self.vertices, top))
+        value = np.log(np.maximum(heat, np.finfo(float).tiny))[corner]
+        sides, rises = self.uv[:, 1:] - self.uv[:, :1], value[:, 1:] - value[:, :1]
+        up = np.einsum("fij,fj->fi", np.linalg.pinv(sides), rises)
+        return up / np.maximum(np.linalg.norm(up, axis=1), np.finfo(float).tiny)[:, None]
 
     def _laplacian(
         self,
@@ -115,19 +136,32 @@ class FlatCloth:
         """Rows of ``vertices`` at the ends of each edge, the edge's cotangent weight, and the sum at each vertex."""
         n, row = len(self.vertices), np.full(self.size, -1)
         row[self.vertices] = np.arange(n)
-        corner, u, v = row[self.faces.T], self.uv[:, :, 0].T, self.uv[:, :, 1].T
-        weights = []
-        for k in range(3):
-            a, b = (k + 1) % 3, (k + 2) % 3
-            au, av, bu, bv = u[a] - u[k], v[a] - v[k], u[b] - u[k], v[b] - v[k]
-            twice_area = np.maximum(np.abs(au * bv - av * bu), 1e-9)
-            weights.append(np.maximum((au * bu + av * bv) / twice_area, LEAST_WEIGHT))
+        corner, weights = row[self.faces.T], self._cotangents
         starts, ends = (
             np.bincount(corner[[k, k - 2, k - 1]].ravel(), np.concatenate(weights), minlength=n) for k in (1, 2)
         )
         low, high = row[self.edges[0].T]
         of_sides = np.concatenate([weights[2], weights[0], weights[1]])[self._sides[3]]  # opposite the corner before
         return low, high, np.add.reduceat(of_sides, np.flatnonzero(self._key_changes)), starts + ends
+
+    @cached_property
+    def _cotangents(self) -> list[Float[np.ndarray, " f"]]:
+        """Weights of the sides opposite the first, second and third corner of each face."""
+        weights, u, v = [], self.uv[:, :, 0].T, self.uv[:, :, 1].T
+        for k in range(3):
+            a, b = (k + 1) % 3, (k + 2) % 3
+            au, av, bu, bv = u[a] - u[k], v[a] - v[k], u[b] - u[k], v[b] - v[k]
+            twice_area = np.maximum(np.abs(au * bv - av * bu), 1e-9)
+            weights.append(np.maximum((au * bu + av * bv) / twice_area, LEAST_WEIGHT))
+        return weights
+
+    @cached_property
+    def _differences(self) -> tuple[csr_array, csr_array]:
+        """(3 f, n) differences along the sides opposite first, second and third corners; transposed and weighted."""
+        corner, side = np.searchsorted(self.vertices, self.faces.T), np.arange(self.faces.size)
+        at = np.concatenate([side, side]), np.concatenate([corner[[2, 0, 1]].ravel(), corner[[1, 2, 0]].ravel()])
+        along = csr_array((np.repeat([1.0, -1.0], len(side)), at), shape=(len(side), len(self.vertices)))
+        return along, along.T @ diags_array(np.concatenate(self._cotangents))
 
     @cached_property
     def _sides(
@@ -149,6 +183,11 @@ class FlatCloth:
         """Marks the first side of each edge."""
         low, high, _, _ = self._sides
         return np.diff(low * np.int64(self.size) + high, prepend=-1) != 0
+
+
+def _factors(matrix: csc_array) -> SuperLU:
+    """The factors of a matrix, symmetric and positive definite: no pivots off the diagonal."""
+    return splu(csc_array(matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 def _graph(

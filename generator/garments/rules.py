@@ -41,11 +41,12 @@ from gcd_dataset.generator.garments.tightness import (
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.waistband import band_rise
 from gcd_dataset.generator.pattern import MeasuredJoin, assemble_and_measure
-from gcd_dataset.records import CANNOT_BE_PUT_ON, Closure, FitLabel, Measurements, Pattern
+from gcd_dataset.records import CANNOT_BE_PUT_ON, Closure, EdgeRole, FitLabel, Measurements, Pattern
 
 LIGHT_LENGTH = 0.5  # largest length of a flared skirt without a firm band, GarmentCode
 LIGHT_SUNS = 0.75  # largest flare-skirt.suns of a flared skirt without a firm band, GarmentCode
 HEAD_GIRTH = 2.18  # over head_l: mean of 24 of this package's bodies, ± 0.03
+NECKLINE = frozenset({EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR})
 FIRM_BAND = 0.25  # waistband.width above which a snug band is firm, GarmentCode
 
 
@@ -405,10 +406,9 @@ def has_tight_cuffs(size: Measurements, design: GarmentDesign, wearer: Measureme
 
 
 def neckline_girth(pattern: Pattern) -> float:
-    """Length of all neck edges of a shirt [cm]; 0 without any."""
-    torsos = [panel for panel in pattern.panels if "torso" in panel.name]
-    edges = [(panel.edge_lengths()[number], edge) for panel in torsos for number, edge in enumerate(panel.edges)]
-    return float(sum(length for length, edge in edges if edge.name == "neck"))
+    """Length of all edges of a neckline [cm]; 0 without any."""
+    edges = (each for panel in pattern.panels for each in zip(panel.edges, panel.edge_lengths(), strict=True))
+    return float(sum(length for edge, length in edges if edge.label in NECKLINE))
 
 
 def _shoulder_seams(pattern: Pattern) -> Iterator[tuple[str, float]]:

@@ -25,11 +25,14 @@ from tests.generator.garments.measured import length, lengths
 
 BODIES = ("neutral", "male:2", "random:5")
 GARMENTS: Mapping[str, tuple[Mapping[str, Any], tuple[str, ...]]] = {
-    "T-shirt": ({"meta": {"upper": "Shirt", "bottom": None}}, ("underbust", "waist")),
+    "T-shirt": (
+        {"meta": {"upper": "Shirt", "bottom": None}, "sleeve": {"sleeveless": False, "length": 0.6, "end_width": 1.0}},
+        ("bust", "underbust", "waist", "upper_arm"),
+    ),
     "skirt": ({"meta": {"upper": None, "wb": None, "bottom": "PencilSkirt"}}, ("thigh",)),
     "trousers": (
         {"meta": {"upper": None, "wb": "StraightWB", "bottom": "Pants"}, "pants": {"length": 0.9, "width": 1.2}},
-        ("knee", "calf"),
+        ("thigh", "knee", "calf"),
     ),
 }
 
@@ -59,16 +62,14 @@ def tube(*widths: float, height: float = 20.0, top: float = 118.0) -> tuple[Patt
 
 
 def rolled(mesh: BoxMesh, pattern: Pattern, radius: float, fold: float = 0.0) -> Float[np.ndarray, "v 3"]:
-    """The tubes round a cylinder about the trunk, in folds of depth ``fold`` [cm]."""
-    panel = np.zeros(len(mesh.uv), int)
-    panel[mesh.corners] = mesh.panel_id[:, None]
-    at = np.zeros((len(mesh.vertices), 3))
+    """The tubes round a cylinder about the trunk, in folds of depth ``fold`` that rise and fall by twice that [cm]."""
+    panel, at = mesh.panel_of_row, np.zeros((len(mesh.vertices), 3))
     for row, each in enumerate(pattern.panels):
         own = panel == row
         u = mesh.uv[own, 0] / np.ptp(mesh.uv[own, 0])
         angle = np.pi * (u if each.name.startswith("f") else 2.0 - u)
         out = radius + fold * np.sin(24 * angle)
-        height = each.placement.apply(mesh.uv[own])[:, 1]
+        height = each.placement.apply(mesh.uv[own])[:, 1] + 2.0 * fold * np.sin(5 * angle)
         at[mesh.uv_vertex[own]] = np.stack([-out * np.cos(angle), height, out * np.sin(angle)], axis=1)
     return at
 
@@ -120,6 +121,17 @@ def test_cloth_as_worn_is_as_wide_as_its_pattern(garment: str) -> None:
             assert found[level].ease > 2.0
             assert found[level].worn == pytest.approx(found[level].cloth, abs=0.5)
         assert len(found) == len(EASE)
+
+
+@pytest.mark.parametrize("strapless", [False, True])
+def test_a_fitted_top_is_cut_as_wide_as_the_bust(strapless: bool) -> None:
+    """Its darts are drawn for that, at the height of the bust."""
+    design = {"meta": {"upper": "FittedShirt", "bottom": None}, "shirt": {"strapless": strapless}}
+    for name in BODIES:
+        body, size, _ = named_body(name)
+        pattern = draw_garment(size, design_from_dict(design))
+        found = ease_of(pattern, build_box_mesh(pattern, spacing=2.0), body, size)
+        assert found["bust"].cloth == pytest.approx(size.bust, abs=0.5)
 
 
 def test_a_circle_skirt_widens_by_the_angle_that_it_is_cut_from(neutral: tuple[Body, Measurements]) -> None:
