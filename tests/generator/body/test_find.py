@@ -24,7 +24,6 @@ from gcd_dataset.generator.body import (
     named_shape,
     read_body,
     read_measurements,
-    write_measurements,
 )
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.body.measuring import FoundBody, find_body
@@ -160,16 +159,6 @@ def test_given_landmarks_override_found_ones(tmp_path: Path) -> None:
     assert size.result.measurements.head_l == pytest.approx(fitted_woman().result.measurements.head_l + 5.0, abs=0.01)
     assert size.result.levels["waist"] == pytest.approx(100.0, abs=2.1)
     assert size.marks.confidence["nape_of_neck"] == 1.0
-
-
-def test_landmarks_beside_given_measures_are_an_error(tmp_path: Path) -> None:
-    """Given measures replace the measuring, which alone uses landmarks."""
-    body = build_body(named_shape("female"))
-    trimesh.Trimesh(body.vertices, body.faces, process=False).export(tmp_path / "own.ply")
-    write_measurements(measure(body), tmp_path / "own.yaml")
-    (tmp_path / "marks.json").write_text('{"nape_of_neck": 3}')
-    with pytest.raises(BodyError, match=r"marks\.json: .* leave .* out"):
-        read_body(tmp_path / "own.ply", tmp_path / "own.yaml", given=tmp_path / "marks.json")
 
 
 @pytest.mark.parametrize("odd", [-7, 10**6])
