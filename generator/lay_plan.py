@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.curves import LINE, sample_curve
+from gcd_dataset.curves import LINE, sample_curve, signed_area
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
 RGB: TypeAlias = tuple[int, int, int]
@@ -78,8 +78,7 @@ class SheetPanel:
     @property
     def orientation(self) -> float:
         """1 for an outline counter-clockwise on the sheet; -1 for clockwise, with the cloth's wrong side up."""
-        (x, y), (next_x, next_y) = self.outline.T, np.roll(self.outline, -1, axis=0).T
-        return float(np.copysign(1.0, (x * next_y - next_x * y).sum()))
+        return float(np.copysign(1.0, signed_area(self.outline)))
 
     def name_position(self) -> tuple[Float[np.ndarray, "2"], float]:
         """Centre and length of the widest horizontal stretch for the name, in the panel's plane [cm]."""
