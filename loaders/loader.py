@@ -113,6 +113,7 @@ class GarmentLoader:
         sized = cast(Sized, dataset)  # torch declares no length
         sampler = ElasticSampler(sized, shuffle=shuffle, seed=seed, rank=rank, world_size=world_size, pad=pad)
         maker = (StreamMaker if is_stream else BatchMaker)(dataset, collate_fn, seed, in_workers)
+        self._order = sampler.order
         self._source = Batches(sampler, maker, batch_size, drop_last=drop_last, num_workers=num_workers)
         self._batches = self._source.loader(
             pin_memory=torch.cuda.device_count() > 0,
@@ -133,15 +134,15 @@ class GarmentLoader:
     @property
     def epoch(self) -> int:
         """The epoch of the next batch, from 0."""
-        return self._source.epoch(self._cursor)
+        return self._order.epoch(self._cursor)
 
     def state_dict(self) -> dict[str, Any]:
         """The position, in garments of all ranks, with seed, shuffle, length and data set, which identify the order."""
-        return self._source.state(self._cursor)
+        return self._order.state(self._cursor)
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Resume from a state at the next ``iter()``. Raises ``ConfigError`` for the state of another order."""
-        self._cursor, self._is_loaded = self._source.cursor_in(state), True
+        self._cursor, self._is_loaded = self._order.position_in(state), True
         self._iterator += 1
 
     def __iter__(self) -> Iterator[Any]:
@@ -250,7 +251,7 @@ class Batches:
 
     def __iter__(self) -> Iterator[Step]:
         """The steps of the current pass."""
-        start, end, epoch = self.start, self._order.end(self.start), self.epoch(self.start)
+        start, end, epoch = self.start, self._order.end(self.start), self._order.epoch(self.start)
         positions, indices = self._rank_share.positions(start), self._rank_share.indices(start)
         for number in range(1, self._count(positions) + 1):
             own = positions[(number - 1) * self._batch_size : number * self._batch_size]
@@ -258,17 +259,6 @@ class Batches:
             cursor = end if is_last else self._rank_share.after(start, number * self._batch_size)
             repeated = [position >= end for position in own] if self._sampler.pad == "repeat" else None
             yield Step(cursor, self._order.uses(own, epoch), epoch, list(islice(indices, len(own))), repeated)
-
-    def epoch(self, cursor: int) -> int:
-        return self._order.epoch(cursor)
-
-    def state(self, cursor: int) -> dict[str, Any]:
-        """The cursor, and the entries that identify its order."""
-        return self._order.state(cursor)
-
-    def cursor_in(self, state: Mapping[str, Any]) -> int:
-        """The cursor in a state. Raises ``ConfigError`` for the state of another order."""
-        return self._order.position_in(state)
 
     def begin(self, cursor: int, *, is_loaded: bool) -> None:
         """Look up the ranks and begin a pass at a loaded cursor, otherwise at the start of the next epoch.
