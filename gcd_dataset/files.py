@@ -25,7 +25,6 @@ from typing import BinaryIO
 from gcd_dataset.errors import GcdError, OutputError, ShardError, shown
 
 URL = re.compile(r"[a-z][a-z0-9+-]+:/")  # pathlib turns s3://bucket into s3:/bucket
-DRAFTS = 8  # numbered draft names for one target; further concurrent writers use random names
 REMEDIES = {
     "make room there, or choose another folder": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
     "choose a folder that you may write to": (errno.EACCES, errno.EPERM, errno.EROFS),
@@ -103,8 +102,8 @@ def open_whole(path: Path | str, *, synced: bool = True) -> Iterator[BinaryIO]:
 def drafted(path: Path | str, *, synced: bool = True) -> Iterator[Path]:
     """Path of an empty draft file, renamed to ``path`` when the block succeeds and deleted when it raises.
 
-    The writer holds a lock on its draft (``flock``). The next writer of ``path`` deletes unlocked drafts, left behind
-    by killed writers; on file systems without locks they stay. Raises ``OutputError`` as ``open_whole`` does.
+    The writer holds a lock on its draft (``flock``); the next writer of ``path`` takes over the draft of a killed one,
+    and writes another beside that of a running one. Raises ``OutputError`` as ``open_whole`` does.
     """
     path = Path(path)
     if not path.name or "\0" in str(path):
@@ -126,51 +125,23 @@ def drafted(path: Path | str, *, synced: bool = True) -> Iterator[Path]:
 
 
 def _begin_draft(path: Path) -> tuple[Path, int]:
-    """An empty draft of ``path`` and its locked descriptor; deletes drafts of dead writers. Raises ``OSError``."""
-    chosen: tuple[Path, int] | None = None
-    for number in range(DRAFTS):
-        draft = path.with_name(f".{path.name}.{number}.part")
-        if chosen is not None and not os.path.lexists(draft):
-            continue
-        descriptor = _lock_draft(draft)
-        if descriptor is None:
-            continue
-        if chosen is None:
-            os.ftruncate(descriptor, 0)
-            chosen = draft, descriptor
-        else:
-            with contextlib.suppress(OSError):
-                draft.unlink()
-            os.close(descriptor)
-    if chosen is None:
-        draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-        chosen = draft, os.open(draft, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-    return chosen
-
-
-def _lock_draft(draft: Path) -> int | None:
-    """Descriptor of the draft, created if missing, with a lock; ``None`` if another writer has it or locks fail.
-
-    Raises ``OSError`` for a folder that cannot be written.
-    """
-    try:
+    """An empty draft of ``path`` and its locked descriptor. Raises ``OSError``."""
+    draft = path.with_name(f".{path.name}.0.part")
+    with contextlib.suppress(OSError):  # locked by its writer, of another user, a link, or no locks here
         descriptor = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
-    except OSError:
-        if os.path.lexists(draft):  # owned by another user, or not a regular file
-            return None
-        raise
-    with contextlib.suppress(BlockingIOError, FileNotFoundError):  # locked by its writer, or just renamed by it
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            if os.path.samestat(os.fstat(descriptor), os.lstat(draft)):  # else its writer has just renamed it
+                os.ftruncate(descriptor, 0)
+                return draft, descriptor
+            raise BlockingIOError
+        except OSError as error:
+            if not isinstance(error, BlockingIOError | FileNotFoundError):  # a file system without locks
+                draft.unlink()
+            os.close(descriptor)
             raise
-        except OSError:  # no locks on this file system
-            draft.unlink()
-        else:
-            if os.path.samestat(os.fstat(descriptor), os.lstat(draft)):
-                return descriptor
-    os.close(descriptor)
-    return None
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    return draft, os.open(draft, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
 
 
 def make_folder(path: Path | str) -> Path:

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.curves import LINE, sample_curve
+from gcd_dataset.curves import LINE, sample_curve, signed_area
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
 RGB: TypeAlias = tuple[int, int, int]
@@ -26,6 +26,7 @@ PALETTE = (*HUES, *((0.5 * r + 0.42, 0.5 * g + 0.42, 0.5 * b + 0.42) for r, g, b
 """Panel colours by panel index, in renders and flat drawings; RGB, each 0 to 1."""
 FLAT_LIGHTENING = 0.55  # share of white mixed in, so that edges and names stand out
 GOLDEN_RATIO = 0.618034
+ROUNDING = 1e-9  # cm
 
 
 def cloth_colour(number: int) -> RGB:
@@ -77,8 +78,7 @@ class SheetPanel:
     @property
     def orientation(self) -> float:
         """1 for an outline counter-clockwise on the sheet; -1 for clockwise, with the cloth's wrong side up."""
-        (x, y), (next_x, next_y) = self.outline.T, np.roll(self.outline, -1, axis=0).T
-        return float(np.copysign(1.0, (x * next_y - next_x * y).sum()))
+        return float(np.copysign(1.0, signed_area(self.outline)))
 
     def name_position(self) -> tuple[Float[np.ndarray, "2"], float]:
         """Centre and length of the widest horizontal stretch for the name, in the panel's plane [cm]."""
@@ -111,7 +111,11 @@ def lay_out_nest(patterns: Sequence[Pattern]) -> tuple[LayPlan, ...]:
     outlines = ((panel.name, _outline(panel)) for pattern in patterns for panel in pattern.panels)
     boxes = boxes_by_name((name, np.stack([outline.min(axis=0), outline.max(axis=0)])) for name, outline in outlines)
     lows, highs = np.stack(list(boxes.values()), axis=1)
-    corners, width, height = _rows(highs - lows)
+    sizes = highs - lows
+    gap = 0.04 * float(np.sqrt(sizes.prod(axis=1).sum()))
+    widest = max(float(sizes[:, 0].max()), 1.15 * float(np.sqrt((sizes + gap).prod(axis=1).sum())))
+    corners, height = pack(sizes, width=widest, gap=gap)
+    width = float((corners + sizes)[:, 0].max())
     shifts = dict(zip(boxes, corners - lows, strict=True))
     return tuple(LayPlan(tuple(_sheet_panels(pattern, shifts)), width, height) for pattern in patterns)
 
@@ -134,21 +138,27 @@ def _sheet_panels(pattern: Pattern, shifts: Mapping[str, Float[np.ndarray, "2"]]
         yield SheetPanel(panel, number, shifts[panel.name], seams)
 
 
-def _rows(sizes: Float[np.ndarray, "p 2"]) -> tuple[Float[np.ndarray, "p 2"], float, float]:
-    """Lower left corners of rectangles packed in rows, and width and height of the sheet [cm]."""
-    gap = 0.04 * float(np.sqrt((sizes[:, 0] * sizes[:, 1]).sum()))
-    row_width = max(float(sizes[:, 0].max()), 1.15 * float(np.sqrt((sizes + gap).prod(axis=1).sum())))
-    corners, x, y, row_height, width = np.zeros_like(sizes), 0.0, 0.0, 0.0, 0.0
+def pack(sizes: Float[np.ndarray, "p 2"], *, width: float, gap: float) -> tuple[Float[np.ndarray, "p 2"], float]:
+    """Lower left corners of rectangles on a sheet of ``width``, ``gap`` apart [cm], and the height of the sheet.
+
+    y points up from the lower left corner of the sheet. Each rectangle takes the first shelf with room for it; one
+    wider than the sheet takes a shelf of its own.
+    """
+    shelves: list[tuple[float, float, float]] = []  # top, height, used width
+    corners = np.zeros_like(sizes)
     for number in np.argsort(-sizes[:, 1], kind="stable"):
-        if x and x + sizes[number, 0] > row_width:
-            x, y = 0.0, y - row_height - gap
-        if not x:
-            row_height = float(sizes[number, 1])
-        corners[number] = (x, y - sizes[number, 1])
-        x += float(sizes[number, 0]) + gap
-        width = max(width, x - gap)
-    corners[:, 1] += row_height - y
-    return corners, width, row_height - y
+        w, h = sizes[number].tolist()
+        row = next((i for i, (_, _, used) in enumerate(shelves) if used + gap + w <= width + ROUNDING), None)
+        if row is None:
+            top = shelves[-1][0] - shelves[-1][1] - gap if shelves else 0.0
+            corners[number] = (0.0, top - h)
+            shelves.append((top, h, w))
+        else:
+            top, height, used = shelves[row]
+            corners[number] = (used + gap, top - h)
+            shelves[row] = (top, height, used + gap + w)
+    height = shelves[-1][1] - shelves[-1][0] if shelves else 0.0
+    return corners + [0.0, height], height
 
 
 def _edge_points(panel: Panel, index: int) -> Float[np.ndarray, "n 2"]:

@@ -48,6 +48,7 @@ from gcd_dataset.records import (
     StoredView,
 )
 from gcd_dataset.seeding import Stage, rng
+from gcd_dataset.shards.layout import key_of
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob, Fabric
@@ -92,15 +93,6 @@ def grade(design: GarmentDesign, chart: SizeChart, *, name: str = "garment") -> 
         except BodyError as error:
             raise BodyError(f"{chart.source}: size {shown(size)}: {error}") from error
     return graded
-
-
-def sample_key(index: int) -> str:
-    """The key of a sample in a shard.
-
-    >>> sample_key(12)
-    'gcd_000000012'
-    """
-    return f"gcd_{index:09d}"
 
 
 # --------------------------------------------------------------------------------------------------------------- steps
@@ -256,7 +248,7 @@ def _neutral_with_legs_apart() -> Body:
 
 
 def _dress(seed: int, wearer: _Wearer, design: GarmentDesign, config: MakeConfig) -> DressedWearer | Reject:
-    pattern = try_on(wearer.cut_for, design, name=sample_key(wearer.index))
+    pattern = try_on(wearer.cut_for, design, name=key_of(wearer.index))
     if isinstance(pattern, Reject):
         return pattern
     shape = wearer.shape
@@ -389,7 +381,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         ease = ease_of(dressed.pattern, mesh, dressed.body, dressed.size, worn)
     front, back = (None, None) if reply is None or reply.pictures is None else map(jpeg_bytes, reply.pictures)
     return Sample(
-        key=sample_key(index),
+        key=key_of(index),
         provenance=Provenance(
             seed=design.seed,
             index=index,

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from gcd_dataset.loaders.fake import FakeGarments
     from gcd_dataset.loaders.fresh import FreshGarments
     from gcd_dataset.loaders.generated import GeneratedGarments
-    from gcd_dataset.loaders.graph import SeamGraph, mesh_edges, seam_graph, to_pyg
+    from gcd_dataset.loaders.graph import SeamGraph, mesh_edges, seam_graph
     from gcd_dataset.loaders.hdf5 import Hdf5Garments
     from gcd_dataset.loaders.mixed import MixedDataset
     from gcd_dataset.loaders.published import PublishedGarmentCodeData
@@ -85,7 +85,6 @@ __all__ = [
     "collate_padded",
     "mesh_edges",
     "seam_graph",
-    "to_pyg",
 ]
 
 __getattr__, __dir__ = lazy_names(__name__)

@@ -153,7 +153,7 @@ class FreshGarments(IterableDataset[GarmentFields]):
     **Epochs.** Each ``iter()`` is the next epoch: the same garments in another order, with other augmentation. An
     ``endless`` data set, such as ``MixedDataset``, supplies its following garments each epoch. ``set_epoch`` selects an
     epoch; ``load_state_dict`` resumes within an epoch, and makes again only the earlier garments that are still in the
-    buffer. A ``GarmentLoader`` calls both according to its own state.
+    buffer. A ``GarmentLoader`` does both by its own state.
 
     **Memory.** The buffer holds ``room`` items; each worker holds the items of up to 74 designs, plus 48 garments of
     1 MB (at 1 cm) if draping processes serve the workers.

@@ -1,8 +1,8 @@
-"""Patterns and meshes as graphs of index pairs, also for PyTorch Geometric."""
+"""Patterns and meshes as graphs of index pairs, as PyTorch Geometric takes them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -12,8 +12,6 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.loaders.batches import PackedBatch
 from gcd_dataset.tensors import EdgeColumn, StitchColumn
-
-Kind = Literal["mesh", "pattern"]
 
 
 @dataclass(frozen=True)
@@ -61,63 +59,6 @@ def mesh_edges(faces: Int[Tensor, "f 3"]) -> Int[Tensor, "2 n"]:
     corners = faces.long()
     pairs = torch.cat([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     return torch.unique(torch.cat([pairs, pairs.flip(1)]), dim=0).T.contiguous()
-
-
-def to_pyg(garment: Item | PackedBatch, graph: Kind = "mesh") -> Any:
-    """The garment as a graph of PyTorch Geometric; a packed batch becomes one graph with ``batch`` and ``ptr``.
-
-    - ``mesh``: ``Data`` with ``pos`` (``verts``, or ``box`` of an undraped garment) [cm], ``face`` [3, f] and
-      ``edge_index``. PyTorch Geometric's own ``Batch`` accepts lists of these.
-    - ``pattern``: ``HeteroData`` with nodes ``panel`` and ``edge``, whose ``x``, f32, are the rows of the pattern's
-      arrays, edges without the column ``PANEL``; relations (edge, ``sewn``, edge), (panel, ``sewn``, panel), (edge,
-      ``next``, edge), (edge, ``of``, panel).
-
-    Raises ``ConfigError`` if ``torch_geometric`` is not installed, or a field that the graph needs is missing.
-    """
-    if graph not in get_args(Kind):
-        raise ConfigError(f"graph={graph!r}: choose {' or '.join(get_args(Kind))}")
-    try:
-        from torch_geometric.data import Data, HeteroData
-    except ImportError as error:
-        raise ConfigError(
-            "to_pyg needs torch_geometric, which is not installed: pip install torch_geometric"
-        ) from error
-    if graph == "mesh":
-        field, faces = _vertices(garment), _rows(garment, "faces")
-        return Data(
-            pos=garment[field], face=faces.long().T, edge_index=mesh_edges(faces), **_membership(garment, field)
-        )
-    return _hetero(garment, HeteroData())
-
-
-def _hetero(garment: Item | PackedBatch, data: Any) -> Any:
-    seams = seam_graph(garment)
-    # Not the first column of edges: a panel's row number, which depends on the batch, is no feature.
-    features = {"panels": _rows(garment, "panels"), "edges": _rows(garment, "edges")[:, EdgeColumn.PANEL + 1 :]}
-    for node, field in (("panel", "panels"), ("edge", "edges")):
-        data[node].x = features[field].float()
-        for name, value in _membership(garment, field).items():
-            setattr(data[node], name, value)
-    data["edge", "sewn", "edge"].edge_index = seams.sewn_edges
-    data["panel", "sewn", "panel"].edge_index = seams.sewn_panels
-    data["edge", "next", "edge"].edge_index = seams.next_edge
-    data["edge", "of", "panel"].edge_index = seams.edge_panel
-    return data
-
-
-def _membership(garment: Item | PackedBatch, field: str) -> dict[str, Tensor]:
-    """For a batch: ``batch``, the garment of each row, and ``ptr``, the start of each garment; for an item nothing."""
-    if not isinstance(garment, PackedBatch):
-        return {}
-    return {"batch": garment.owners(field), "ptr": garment[f"{field}_ptr"]}
-
-
-def _vertices(garment: Mapping[str, Any]) -> str:
-    """The field that ``faces`` index: ``verts``, or ``box`` of an undraped garment."""
-    for field in ("verts", "box"):
-        if field in garment and len(garment[field]):
-            return field
-    raise ConfigError("the garment has faces but no vertices: load the field verts or box too")
 
 
 def _rows(garment: Mapping[str, Any], field: str) -> Float[Tensor, "n *c"]:

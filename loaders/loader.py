@@ -16,8 +16,6 @@ from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.loaders.base import Garments, UserCode, is_of_package, load_items, require_callable, require_integer
 from gcd_dataset.loaders.batches import collate_list, collate_packed, collate_padded
 from gcd_dataset.loaders.order import ElasticSampler, Pad, RankShare
-from gcd_dataset.loaders.ranks import current_rank, require_rank
-from gcd_dataset.loaders.states import dataset_entries, position_in_state, require_whole
 from gcd_dataset.loaders.worker import begin_worker, require_semaphores, sent, unwrap, with_traceback
 from gcd_dataset.workers import prefetch
 
@@ -28,18 +26,16 @@ Collate: TypeAlias = Callable[[list[Any]], Any]
 
 COLLATES = (collate_list, collate_packed, collate_padded)
 BATCHES_AHEAD = 2  # batches that a thread prefetches
-LONGEST_PASS = 1 << 40  # items of a stream
-END = object()  # default of ``next`` at the end of a stream
 
 
 # A *pass* is the rest of an epoch: one ``iter()`` of the loader. A *cursor* is how far the training loop has come: a
-# position in the order, or a ``StreamCursor``. Each batch is made together with its ``Step``.
+# position in the order. Each batch is made together with its ``Step``.
 
 
 class Step(NamedTuple):
     """One batch of a pass."""
 
-    cursor: Any
+    cursor: int
     """The cursor after it; after the last batch the end of the epoch."""
     uses: list[int]
     """For each garment the number of its use: its epoch, or another number where an epoch may repeat a garment."""
@@ -83,10 +79,9 @@ class GarmentLoader:
     - It has no ``pin_memory``: batches are in pinned memory on a machine with a GPU. No ``sampler``: a state must be
       able to resume the order; ``select`` chooses or repeats garments; a ``DataLoader`` takes ``ElasticSampler``. No
       ``generator``: ``seed`` decides. No ``set_epoch``: each ``iter()`` is the next epoch on every rank.
-    - An ``IterableDataset`` is read in its own order and split over ranks: it must yield the same items on every rank,
-      is read again from its beginning to resume, and requires ``shuffle=False``, no workers and no ``pad``.
-      ``FreshGarments`` resumes without making the earlier garments. A ``GarmentDataset`` with ``streaming=True`` is an
-      exception: the loader reads it by index.
+    - ``FreshGarments`` is the one stream that it takes, with ``shuffle=False``, no workers and no ``pad``; ranks get
+      their shares of the garments, and a state resumes without making the earlier ones. A ``GarmentDataset`` with
+      ``streaming=True`` is read by index.
 
     Raises ``ConfigError`` for options that do not fit together, and for full shared memory.
     """
@@ -112,35 +107,24 @@ class GarmentLoader:
         _require_views(views)
         in_workers = views if views is not None and views.device == "cpu" and num_workers else None
         self._views = None if in_workers is not None else views
-        self._source: IndexedBatches | StreamBatches
-        if isinstance(dataset, IterableDataset) and not isinstance(dataset, Garments):
-            _require_stream_options(shuffle, num_workers, pad)
-            seed = require_integer("seed", seed)
-            self._source = StreamBatches(
-                dataset, batch_size, collate_fn, rank, world_size, seed=seed, drop_last=drop_last
-            )
-        else:
-            sized = cast(Sized, dataset)  # torch declares no length
-            sampler = ElasticSampler(sized, shuffle=shuffle, seed=seed, rank=rank, world_size=world_size, pad=pad)
-            self._source = IndexedBatches(
-                sampler,
-                dataset,
-                batch_size,
-                collate_fn,
-                drop_last=drop_last,
-                num_workers=num_workers,
-                views=in_workers,
-            )
+        is_stream = isinstance(dataset, IterableDataset) and not isinstance(dataset, Garments)
+        if is_stream:
+            _require_stream(dataset, shuffle, num_workers, pad)
+        sized = cast(Sized, dataset)  # torch declares no length
+        sampler = ElasticSampler(sized, shuffle=shuffle, seed=seed, rank=rank, world_size=world_size, pad=pad)
+        maker = (StreamMaker if is_stream else BatchMaker)(dataset, collate_fn, seed, in_workers)
+        self._order = sampler.order
+        self._source = Batches(sampler, maker, batch_size, drop_last=drop_last, num_workers=num_workers)
         self._batches = self._source.loader(
             pin_memory=torch.cuda.device_count() > 0,
             # A generator of its own: without one, ``DataLoader`` draws from torch's global stream.
             generator=torch.Generator().manual_seed(seed % (1 << 63)),
         )
-        self._cursor: Any = self._source.first
+        self._cursor = 0
         self._iterator, self._is_loaded = 0, False  # number of the valid iterator; whether to resume a loaded state
 
     def __len__(self) -> int:
-        """Batches of a whole epoch. Raises ``TypeError`` for a stream without a length."""
+        """Batches of a whole epoch."""
         return len(self._source)
 
     def __repr__(self) -> str:
@@ -150,15 +134,15 @@ class GarmentLoader:
     @property
     def epoch(self) -> int:
         """The epoch of the next batch, from 0."""
-        return self._source.epoch(self._cursor)
+        return self._order.epoch(self._cursor)
 
     def state_dict(self) -> dict[str, Any]:
         """The position, in garments of all ranks, with seed, shuffle, length and data set, which identify the order."""
-        return self._source.state(self._cursor)
+        return self._order.state(self._cursor)
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Resume from a state at the next ``iter()``. Raises ``ConfigError`` for the state of another order."""
-        self._cursor, self._is_loaded = self._source.cursor_in(state), True
+        self._cursor, self._is_loaded = self._order.position_in(state), True
         self._iterator += 1
 
     def __iter__(self) -> Iterator[Any]:
@@ -180,7 +164,6 @@ class GarmentLoader:
                         batch["repeated"] = torch.tensor(step.repeated)
                     yield batch
                     self._require_valid(iterator)
-        self._cursor = self._source.after_last(self._cursor)
 
     def _require_valid(self, iterator: int) -> None:
         if iterator != self._iterator:
@@ -196,8 +179,12 @@ def _with_views(views: "Views", made: Iterable[tuple[Step, Any]]) -> Generator[t
     return render_ahead(views, ((step, batch, step.uses[: garments_in(batch)]) for step, batch in made))
 
 
-def _require_stream_options(shuffle: bool, num_workers: int, pad: Pad) -> None:
-    """Raise ``ConfigError`` for options that a stream does not support."""
+def _require_stream(stream: Dataset, shuffle: bool, num_workers: int, pad: Pad) -> None:
+    """Raise ``ConfigError`` for a stream that cannot be resumed, and for options that a stream does not support."""
+    if not hasattr(stream, "begin_at"):
+        raise ConfigError(
+            f"{type(stream).__name__} is a stream: give FreshGarments, a data set with indices, or use a DataLoader"
+        )
     if shuffle:
         raise ConfigError("shuffle=True: a stream has its own order: give shuffle=False, or an indexable data set")
     if num_workers:
@@ -224,29 +211,23 @@ def _prefetched(batches: Iterator[Any]) -> Generator[Any]:
     )
 
 
-class IndexedBatches:
+class Batches:
     """The batches of an ``ElasticSampler``'s indices; also the ``batch_sampler`` of their loader."""
-
-    first = 0
-    """The cursor at the start of the first epoch."""
 
     def __init__(
         self,
         sampler: ElasticSampler,
-        dataset: Dataset,
+        maker: "BatchMaker",
         batch_size: int,
-        collate_fn: Collate,
         *,
         drop_last: bool,
         num_workers: int,
-        views: "Views | None" = None,
     ) -> None:
         self._sampler, self._order, self._batch_size, self._drop_last = sampler, sampler.order, batch_size, drop_last
-        self._maker, self._num_workers = BatchMaker(dataset, collate_fn, sampler.order.seed, views), num_workers
-        self._reads_only = isinstance(dataset, Garments) and dataset.reads_only
+        self._maker, self._num_workers, self._reads_only = maker, num_workers, maker.reads_only
         self.runs_in_thread = self._reads_only and num_workers == 0 and not self._maker.has_user_code
         """Whether batches may be made in a thread beside the training: no users' code is involved."""
-        self._rank_share, self._start = self._present_share(), 0
+        self._rank_share, self.start = self._present_share(), 0
 
     def loader(self, **options: Any) -> DataLoader:
         """The ``DataLoader`` of ``(Step, batch)`` that serves all passes; its workers persist between them."""
@@ -270,7 +251,7 @@ class IndexedBatches:
 
     def __iter__(self) -> Iterator[Step]:
         """The steps of the current pass."""
-        start, end, epoch = self._start, self._order.end(self._start), self.epoch(self._start)
+        start, end, epoch = self.start, self._order.end(self.start), self._order.epoch(self.start)
         positions, indices = self._rank_share.positions(start), self._rank_share.indices(start)
         for number in range(1, self._count(positions) + 1):
             own = positions[(number - 1) * self._batch_size : number * self._batch_size]
@@ -279,17 +260,6 @@ class IndexedBatches:
             repeated = [position >= end for position in own] if self._sampler.pad == "repeat" else None
             yield Step(cursor, self._order.uses(own, epoch), epoch, list(islice(indices, len(own))), repeated)
 
-    def epoch(self, cursor: int) -> int:
-        return self._order.epoch(cursor)
-
-    def state(self, cursor: int) -> dict[str, Any]:
-        """The cursor, and the entries that identify its order."""
-        return self._order.state(cursor)
-
-    def cursor_in(self, state: Mapping[str, Any]) -> int:
-        """The cursor in a state. Raises ``ConfigError`` for the state of another order."""
-        return self._order.position_in(state)
-
     def begin(self, cursor: int, *, is_loaded: bool) -> None:
         """Look up the ranks and begin a pass at a loaded cursor, otherwise at the start of the next epoch.
 
@@ -297,11 +267,7 @@ class IndexedBatches:
         """
         start = cursor if is_loaded else self._order.next_pass(cursor)
         self._rank_share = self._present_share()
-        self._start = start if self._count(self._rank_share.positions(start)) else self._order.end(start)
-
-    def after_last(self, cursor: int) -> int:
-        """The cursor at the end of a pass; ``cursor`` is the one after its last batch."""
-        return cursor
+        self.start = start if self._count(self._rank_share.positions(start)) else self._order.end(start)
 
     def _present_share(self) -> RankShare:
         """The share of this process's rank, looked up now. Raises ``ConfigError`` if no rank has a whole batch."""
@@ -326,6 +292,7 @@ class BatchMaker(Dataset):
 
     def __init__(self, dataset: Dataset, collate_fn: Collate, seed: int, views: "Views | None" = None) -> None:
         self._plain: Dataset = dataset
+        self.reads_only = isinstance(dataset, Garments) and dataset.reads_only
         self._user_code: UserCode | None = None
         if isinstance(dataset, Garments):
             self._plain, self._user_code = dataset._separated()
@@ -334,6 +301,9 @@ class BatchMaker(Dataset):
         """Whether the data set's class is defined outside this package: users' code then makes the whole item."""
         is_user_collate = (collate_fn.func if isinstance(collate_fn, partial) else collate_fn) not in COLLATES
         self.has_user_code = self.is_user_dataset or self._user_code is not None or is_user_collate
+
+    def begin(self, position: int) -> None:
+        """Called at the start of a pass."""
 
     def __getitems__(self, step: Step) -> Any:
         """``(step, batch)``, as a ``DataLoader`` requests it from a worker; on failure the error, as a value."""
@@ -374,141 +344,40 @@ class BatchMaker(Dataset):
         return items if self._views is None else self._views.add_to_items(items, step.uses)
 
 
+class StreamMaker(BatchMaker):
+    """Makes batches from a stream with ``begin_at``, whose indices are its positions."""
+
+    def begin(self, position: int) -> None:
+        stream: Any = self._plain
+        with isolated_rng() as random_state:
+            random_state.seed(self._seed, position)
+            self._items, self._next = iter(stream.begin_at(position)), position
+
+    def read(self, step: Step) -> list[Any]:
+        """The items at the positions of a step; those of other ranks are passed over."""
+        items = []
+        with isolated_rng() as random_state:
+            for position in step.indices:
+                for passed in range(self._next, position + 1):
+                    random_state.seed(self._seed, passed)
+                    item = next(self._items)
+                self._next = position + 1
+                items.append(item)
+        return items
+
+
 class _Pass(IterableDataset):
     """The batches of the current pass, without workers; with ``read_ahead`` a thread reads the items."""
 
-    def __init__(self, steps: IndexedBatches, maker: BatchMaker, read_ahead: bool) -> None:
+    def __init__(self, steps: Batches, maker: BatchMaker, read_ahead: bool) -> None:
         self._steps, self._maker, self._read_ahead = steps, maker, read_ahead
 
     def __iter__(self) -> Iterator[tuple[Step, Any]]:
+        self._maker.begin(self._steps.start)
         read = ((step, self._maker.read(step)) for step in self._steps)
         with closing(prefetch(read, BATCHES_AHEAD, wait=True)) if self._read_ahead else nullcontext(read) as loaded:
             for step, items in loaded:
                 yield step, self._maker.finish(step, items)
-
-
-class StreamCursor(NamedTuple):
-    """How far the training loop has come in a stream."""
-
-    epoch: int
-    """Finished passes."""
-    position: int
-    """Items of this pass that all ranks together have received."""
-
-
-class StreamBatches(IterableDataset):
-    """Every ``world_size``-th item of a stream, from any position on.
-
-    A stream with ``begin_at``, such as ``FreshGarments``, can begin at any item, counted from the start of the first
-    pass. Any other stream is read from its beginning; if it has ``set_epoch``, that is called before each pass.
-    """
-
-    runs_in_thread = False  # the stream may be users' code
-    first = StreamCursor(0, 0)
-
-    def __init__(
-        self,
-        stream: IterableDataset,
-        batch_size: int,
-        collate_fn: Collate,
-        rank: int | None,
-        world_size: int | None,
-        *,
-        seed: int,
-        drop_last: bool,
-    ) -> None:
-        self._stream, self._batch_size, self._drop_last = stream, batch_size, drop_last
-        self._collate, self._seed = collate_fn, seed
-        self._fixed_rank = require_rank(rank, world_size)
-        self._rank = self._present_rank()
-        self._dataset_entries = dataset_entries(stream)
-        self._cursor = self.first
-
-    def loader(self, **options: Any) -> DataLoader:
-        return DataLoader(self, batch_size=None, collate_fn=_unchanged, **options)
-
-    def __len__(self) -> int:
-        count = self._length() // self._present_rank()[1]
-        return count // self._batch_size if self._drop_last else -(-count // self._batch_size)
-
-    def __iter__(self) -> Iterator[tuple[Step, Any]]:
-        """This rank's batches of the current pass, or of the next one if none is left."""
-        begun = self._cursor
-        for start in dict.fromkeys((begun, _next_pass(begun))):
-            self._cursor, items = start, self._items(start)
-            while (made := self._next_batch(items)) is not None:
-                yield made
-            if self._cursor != start:
-                return
-
-    def epoch(self, cursor: StreamCursor) -> int:
-        return cursor.epoch
-
-    def state(self, cursor: StreamCursor) -> dict[str, Any]:
-        return {**cursor._asdict(), **self._dataset_entries}
-
-    def cursor_in(self, state: Mapping[str, Any]) -> StreamCursor:
-        position = position_in_state(state, {}, self._dataset_entries)
-        return StreamCursor(require_whole("epoch", state.get("epoch", 0)), position)
-
-    def begin(self, cursor: StreamCursor, *, is_loaded: bool) -> None:
-        """As of ``IndexedBatches``; a stream may also turn out to have no item left."""
-        has_ended = hasattr(self._stream, "begin_at") and cursor.position >= self._length()
-        self._rank = self._present_rank()
-        self._cursor = cursor if is_loaded and not has_ended else _next_pass(cursor)
-
-    def after_last(self, cursor: StreamCursor) -> StreamCursor:
-        """The start of the next pass."""
-        return StreamCursor(cursor.epoch + 1, 0)
-
-    def _present_rank(self) -> tuple[int, int]:
-        return self._fixed_rank or current_rank()
-
-    def _length(self) -> int:
-        """Items of a pass. Raises ``TypeError`` for a stream without a length."""
-        if not isinstance(self._stream, Sized):
-            raise TypeError("a stream has no length")
-        return len(self._stream)
-
-    def _items(self, start: StreamCursor) -> Iterator[Any]:
-        """The items that follow a cursor, to the end of its pass."""
-        with isolated_rng() as random_state:
-            random_state.seed(self._seed, start.epoch)
-            if callable(begin_at := getattr(self._stream, "begin_at", None)):
-                return iter(begin_at(start.epoch * self._length() + start.position))
-            if callable(set_epoch := getattr(self._stream, "set_epoch", None)):
-                set_epoch(start.epoch)
-            items = iter(self._stream)
-            for position in range(start.position):
-                random_state.seed(self._seed, start.epoch, position)
-                if next(items, END) is END:
-                    break
-            return items
-
-    def _next_batch(self, items: Iterator[Any]) -> tuple[Step, Any] | None:
-        """The next batch of this rank; ``None`` at the end."""
-        rank, world_size = self._rank
-        batch: list[Any] = []
-        with isolated_rng() as random_state:
-            while len(batch) < self._batch_size:
-                of_ranks: list[Any] = []  # one item for each rank
-                for position in range(self._cursor.position, self._cursor.position + world_size):
-                    random_state.seed(self._seed, self._cursor.epoch, position)
-                    of_ranks += islice(items, 1)
-                if len(of_ranks) < world_size:
-                    break
-                self._cursor = self._cursor._replace(position=self._cursor.position + world_size)
-                batch.append(of_ranks[rank])
-            if not batch or (self._drop_last and len(batch) < self._batch_size):
-                return None
-            random_state.seed(self._seed, *self._cursor, len(batch))
-            end = self._cursor.epoch * LONGEST_PASS + self._cursor.position + rank
-            uses = list(range(end - len(batch) * world_size, end, world_size))
-            return Step(self._cursor, uses), self._collate(batch)
-
-
-def _next_pass(cursor: StreamCursor) -> StreamCursor:
-    return StreamCursor(cursor.epoch + 1, 0) if cursor.position else cursor
 
 
 def _unchanged(batch: Any) -> Any:

@@ -129,20 +129,21 @@ class SampleOrder:
     """Position → index: the garments of an epoch, then those of the next epoch in another order.
 
     With ``shuffle`` each epoch is a permutation keyed by ``(seed, epoch)``, of a data set with a ``window`` a
-    ``WindowedPermutation``; otherwise it is 0, 1, 2, …. An ``endless``
-    data set, such as ``MixedDataset``, has an order of its own: index = position. Raises ``ConfigError`` for an empty
-    data set, and for anything but a data set with a length and indices.
+    ``WindowedPermutation``; otherwise it is 0, 1, 2, …. An ``endless`` data set, such as ``MixedDataset``, and
+    ``FreshGarments`` have an order of their own: index = position. Raises ``ConfigError`` for an empty data set, and
+    for anything but a data set with a length and indices.
     """
 
     def __init__(self, dataset: Sized, *, shuffle: bool, seed: int) -> None:
-        is_indexed = isinstance(dataset, Sized) and hasattr(dataset, "__getitem__")
+        is_stream = hasattr(dataset, "begin_at")
+        is_indexed = isinstance(dataset, Sized) and (is_stream or hasattr(dataset, "__getitem__"))
         if not is_indexed or isinstance(dataset, str | bytes | type | Mapping):
             path = f"{str(dataset)!r:.99}" if isinstance(dataset, str | PathLike) else "…"
             raise ConfigError(f"dataset={dataset!r:.99} is no data set: give GarmentDataset({path}) or the like")
         self.length, self.shuffle, self.seed = len(dataset), shuffle, require_integer("seed", seed)
         if not self.length:
             raise ConfigError("an empty data set has no order: give a data set with at least one garment")
-        self._is_endless = isinstance(dataset, Garments) and dataset.endless
+        self._is_endless = is_stream or (isinstance(dataset, Garments) and dataset.endless)
         self.window = dataset.window if isinstance(dataset, Garments) and shuffle else None
         self._shards = tuple(dataset.shard_lengths()) if self.window is not None else ()  # type: ignore[attr-defined]
         self._windowed: tuple[int, WindowedPermutation] | None = None

@@ -1,12 +1,9 @@
-"""``GarmentDataset(..., streaming=True)``: garments in the order of the shards, whose tars webdataset reads."""
+"""``GarmentDataset(..., streaming=True)``: garments in the order of the shards."""
 
 import sys
-import tarfile
-from collections.abc import Container, Iterable, Iterator
-from dataclasses import dataclass
-from functools import partial
-from itertools import repeat
-from pathlib import Path
+from collections.abc import Iterable, Iterator
+from itertools import groupby
+from operator import itemgetter
 from types import FrameType
 from typing import Any
 
@@ -14,64 +11,13 @@ import numpy as np
 from torch.utils.data import ChainDataset, DataLoader, IterableDataset, get_worker_info
 from torch.utils.data._utils.fetch import _IterableDatasetFetcher
 
-from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.files import open_regular
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.loaders.ranks import accelerate_processes, current_rank, in_process_group
 from gcd_dataset.loaders.shards import GarmentDataset
-from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.layout import META, Bytes, is_picture, key_of
-from gcd_dataset.shards.meta import checked_meta
-from gcd_dataset.shards.reader import ShardReader, Verify, naming_sample
-from gcd_dataset.shards.tar import CheckedTar
+from gcd_dataset.shards.layout import is_picture
 
 LENGTHS = (DataLoader.__len__.__code__, ChainDataset.__len__.__code__)
-
-
-@dataclass(frozen=True)
-class StreamedTar:
-    """Samples of a tar in the order of the file."""
-
-    path: Path
-    name: str
-    """Path or URL, for messages."""
-    spans: list[tuple[str, int, int]]
-    """Key, first and last byte of each sample."""
-    remedy: str
-
-    @classmethod
-    def of(cls, reader: ShardReader, shard: int, rows: list[int], views: bool) -> "StreamedTar":
-        """The samples of ``rows`` of the index, or their pictures; a server's tar is fetched whole, and verified."""
-        index, record, store = reader.index, reader.record.shards[shard], reader.store
-        starts, ends = (index.views_start, index.views_end) if views else (index.start, index.end)
-        keys = map(key_of, index.number[rows].tolist())
-        return cls(
-            store.path(reader.split, record, views=views),
-            store.location(record.name(reader.split, views=views)),
-            [*zip(keys, starts[rows].tolist(), ends[rows].tolist(), strict=True)],
-            store.remedy,
-        )
-
-    def samples(self, wanted: Container[str]) -> Iterator[dict[str, Bytes]]:
-        """The wanted members of each sample. Raises ``ShardError`` for a damaged tar, and where a sample is missing."""
-        from webdataset.tariterators import group_by_keys, tar_file_expander
-
-        count = 0
-        # Opened here: webdataset has its own ways to open URLs, and with WDS_SECURE=1 opens nothing.
-        with reading(self.path), open_regular(self.path) as file:
-            source = {"url": self.name, "stream": CheckedTar(file, self.spans)}
-            try:
-                for sample in group_by_keys(tar_file_expander([source]), suffixes=wanted):
-                    if sample["__key__"] != self.spans[count][0]:  # a name with a folder
-                        break
-                    yield {member: data for member, data in sample.items() if not member.startswith("__")}
-                    if (count := count + 1) == len(self.spans):
-                        return
-            except (tarfile.TarError, ShardError, ValueError) as error:  # ValueError: a name occurs twice
-                fault = str(error.args[0]).partition(" @ ")[0]  # webdataset appends the file object
-                raise ShardError(f"{self.name}: a damaged archive ({fault}): {self.remedy}") from error
-        # tarfile takes a damaged header for the end of the archive.
-        raise ShardError(f"{self.name}: {count} samples of {len(self.spans)} read: {self.remedy}")
 
 
 class StreamedGarments(GarmentDataset, IterableDataset):
@@ -85,10 +31,6 @@ class StreamedGarments(GarmentDataset, IterableDataset):
     _ranks: tuple[int, int] | None = None
     """Rank and world size of the process that spawned this worker."""
 
-    def __init__(self, *source: Any, verify: Verify = "lazy", **options: Any) -> None:
-        super().__init__(*source, verify=verify, **options)
-        self._checks = verify != "off"
-
     def select(self, indices: Iterable[int]) -> Garments:
         raise ConfigError("a stream has no indices: leave out streaming=True, or slice the split")
 
@@ -101,32 +43,20 @@ class StreamedGarments(GarmentDataset, IterableDataset):
 
     def __iter__(self) -> Iterator[Any]:
         share, begin = self._share(), 0
+        pictures = {is_picture(member) for member in self._member_names}
         for reader, positions in self._parts:
-            rows = reader.rows(positions)[max(share.start - begin, 0) : max(share.stop - begin, 0)]
+            own = positions[max(share.start - begin, 0) : max(share.stop - begin, 0)]
             position, begin = max(share.start, begin), begin + len(positions)
-            for shard in np.unique(reader.index.shard[rows]).tolist():
-                of_shard = rows[reader.index.shard[rows] == shard].tolist()
-                yield from self._of_shard(reader, shard, of_shard, position)
-                position += len(of_shard)
-
-    def _of_shard(self, reader: ShardReader, shard: int, rows: list[int], position: int) -> Iterator[Any]:
-        """The items of some samples of a shard; the first is at ``position`` of the data set."""
-        names = {META, *self._member_names}
-        pictures = {name for name in names if is_picture(name)}
-        tar = StreamedTar.of(reader, shard, rows, False)
-        views = StreamedTar.of(reader, shard, rows, True).samples(pictures) if pictures else repeat({}, len(rows))
-        for place, (main, of_views) in enumerate(zip(tar.samples(names - pictures), views, strict=True)):
-            members = {**main, **of_views}
-            with naming_sample(partial("{}: sample {}".format, tar.name, tar.spans[place][0])):
-                try:
-                    if missing := sorted(names - members.keys()):
-                        raise ShardError(f"member {missing[0]} is missing")
-                    if self._checks:
-                        checked_meta(members, int(reader.index.number[rows[place]]))
-                except ShardError as error:
-                    raise ShardError(f"{error}: {tar.remedy}") from error
-                item = self._item(members, position + place)
-            yield item
+            shards = np.searchsorted(reader.index.first, reader.rows(own), "right") - 1
+            for shard, group in groupby(zip(shards.tolist(), own, strict=True), itemgetter(0)):
+                rows = [row for _, row in group]
+                for views in {False} | pictures:  # the main tar holds the checksums
+                    reader.store.path(reader.split, reader.record.shards[shard], views=views)
+                for row, members in zip(rows, reader.read_many(rows, self._member_names), strict=True):
+                    with reader.naming(row):
+                        item = self._item(members, position)
+                    yield item
+                    position += 1
 
     def __getstate__(self) -> dict[str, Any]:
         # A spawned worker has no process group, and may lack the rank's environment variables.

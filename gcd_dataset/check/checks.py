@@ -37,9 +37,9 @@ UNREADABLE = Check(
 )
 INCOMPLETE = Check(
     "incomplete",
-    "shards or garments of a split are missing",
+    "garments of a split are missing",
     "the split is smaller than its manifest or list: scores do not compare with those on the whole split",
-    "run the interrupted gcd generate or gcd download again",
+    "download or extract them again",
     counts_garments=False,
 )
 LEAKED_DESIGN = Check(
@@ -141,9 +141,9 @@ DUPLICATES = Check(
 )
 ORPHANS = Check(
     "orphans",
-    "files, members, garments or bodies are outside of every split",
-    "none directly: data that was paid for is not trained on, or a shard was put together by hand",
-    "shards: run gcd index; published garments: add them to the split file; remove what is not wanted",
+    "garments or bodies are outside of every split",
+    "none directly: data that was paid for is not trained on",
+    "add garments to the split file; remove what is not wanted",
     Harm.WARNING,
     counts_garments=False,
 )

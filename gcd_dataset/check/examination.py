@@ -10,7 +10,7 @@ import numpy as np
 
 from gcd_dataset.check import checks
 from gcd_dataset.check.checks import Check, Harm
-from gcd_dataset.check.files import published_faults, set_faults, shard_file_faults, split_file_faults
+from gcd_dataset.check.files import published_faults, set_faults
 from gcd_dataset.check.garments import FIELDS_READ, CheckedGarment, Fault, garment_faults
 from gcd_dataset.check.report import Report, SplitSummary, Tally
 from gcd_dataset.check.sets import DIMENSIONS, NEAR, Census, SplitCensus, difference, near_pairs
@@ -312,16 +312,6 @@ class _Examination:
             self.harms[checks.FAILED_DRAPE, split] = Harm.WARNING
 
     def _check_files(self) -> None:
-        if self.source.folder is not None:
-            for split in self.source.splits:
-                try:
-                    for check, name, text in shard_file_faults(self.source.folder, split.name):
-                        self.tally.add(check, split.name, name, [text])
-                except ShardError as error:
-                    self.tally.add(checks.UNREADABLE, split.name, "", [str(error)])
-            names = FolderStore(self.source.folder).manifest().splits
-            for check, name, text in split_file_faults(self.source.folder, [*names]):
-                self.tally.add(check, FILES, name, [text])
         if self.source.published is not None:
             wearers = None if self.quick else self.wearers
             for check, name, text in published_faults(self.source.published, self.source.garment_lists, wearers):

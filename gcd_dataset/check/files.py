@@ -30,50 +30,6 @@ FileFault = tuple[Check, str, str]
 PEOPLE_FILES = ("measurements/{}.yaml", "meta/{}_meta.json", "meshes/{}_straight.obj", "meshes/{}_apart.obj")
 
 
-def shard_file_faults(folder: Path, split: str) -> Iterator[FileFault]:
-    """Faults of the shards of a split in a local folder, from tar headers. Raises ``ShardError`` for a broken index."""
-    store, names = FolderStore(folder), Place(folder).names()
-    record = store.manifest().splits[split]
-    if MANIFEST not in names or index_name(split) not in names:
-        yield checks.ORPHANS, index_name(split), "no manifest or index: run gcd index"
-    listed = {shard.number for shard in record.shards}
-    for name, number in shards_named(names):
-        if name == split and number not in listed:
-            path = ShardRecord(number, 0, 0, "").name(split)
-            yield checks.ORPHANS, path, f"shards that {MANIFEST} does not list"
-    missing = [shard.name(split) for shard in record.shards if shard.name(split) not in names]
-    yield from ((checks.INCOMPLETE, name, f"shards of {MANIFEST} that are missing") for name in missing)
-    if record.count and not missing:
-        keys = set(map(key_of, store.index(split).number.tolist()))
-        for shard in record.shards:
-            yield from _member_faults(folder / shard.name(split), keys)
-    if (problem := store.unfinished(split)) is not None:
-        yield checks.INCOMPLETE, split, f"unfinished: {problem}"
-
-
-def _member_faults(path: Path, keys: set[str]) -> Iterator[FileFault]:
-    """Members of a shard whose samples the index does not list."""
-    try:
-        with reading(path), open_regular(path) as file:
-            for entry in tar_entries(file.fileno()):
-                if entry.name.partition(".")[0] not in keys:
-                    yield checks.ORPHANS, f"{path.name}/{entry.name}", "members that the index does not list"
-    except ShardError as error:
-        yield checks.UNREADABLE, path.name, f"{error}"
-
-
-def split_file_faults(folder: Path, splits: Sequence[str]) -> Iterator[FileFault]:
-    """Tars of a local folder that belong to no split."""
-    names = Place(folder).names()
-    own = {ShardRecord(number, 0, 0, "").name(split) for split, number in shards_named(names) if split in splits}
-    for name in sorted(names - own):
-        if name.endswith(".tar") and "/" not in name:
-            yield checks.ORPHANS, name, "tars of no split"
-
-
-# -------------------------------------------------------------------------------------------------------------- in full
-
-
 def set_faults(folder: Path, *, every_byte: bool = False) -> Iterator[str]:
     """The faults of the data set in a folder, one line each.
 

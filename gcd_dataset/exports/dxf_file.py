@@ -24,10 +24,9 @@ from jaxtyping import Bool, Float
 
 from gcd_dataset import __version__
 from gcd_dataset.exports.inputs import Graded, optional, patterns_of, require_suffix
-from gcd_dataset.exports.pdf_file import pack
 from gcd_dataset.exports.pieces import CutPiece, cut_pieces
 from gcd_dataset.files import plain_names, write_whole
-from gcd_dataset.generator.lay_plan import boxes_by_name
+from gcd_dataset.generator.lay_plan import boxes_by_name, pack
 from gcd_dataset.records import Pattern, Sample
 
 MM = 10.0  # millimetres in a centimetre

@@ -10,10 +10,9 @@ from gcd_dataset.shards.layout import FAILED, fields_of, is_picture
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
 
 TEXTS = resources.files(__package__)
-PREVIEW = "preview.parquet"
 
 BYTES = "application/octet-stream"
-FORMATS = {"tar": "application/x-tar", "json": "application/json", "parquet": "application/vnd.apache.parquet"}
+FORMATS = {"tar": "application/x-tar", "json": "application/json"}
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 TAGS = ["webdataset", "garments", "sewing-patterns", "cloth-simulation", "synthetic", "3d"]
 
@@ -49,7 +48,6 @@ FIELD_DESCRIPTIONS: Mapping[str, str] = {
 }
 
 PICTURES = "Pictures are in `views/`, under the same keys; configuration `views`. "
-PREVIEWED = f"The first garments as a table: [`{PREVIEW}`]({PREVIEW}). "
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,6 @@ class Release:
     divided: bool
     """Whether the splits share neither designs nor bodies: true for parts of one split, and for splits of a recipe."""
     endpoint: str
-    has_preview: bool = False
 
     @property
     def total(self) -> int:
@@ -112,7 +109,6 @@ def card(release: Release) -> str:
             promise=_separation(release),
             bare=" --no-views" if release.has_views else "",
             pictures=PICTURES if release.has_views else "",
-            preview=PREVIEWED if release.has_preview else "",
             fields="\n".join(
                 f"| {field} | `{member}` | {_describe(field)} |" for field, member in fields_of(release.members).items()
             ),

@@ -1,7 +1,6 @@
 """Publishes a data set on the Hub: divides it into splits, describes it, uploads it with ``huggingface_hub``."""
 
 import hashlib
-import io
 import json
 import logging
 import re
@@ -14,7 +13,7 @@ from typing import Any
 
 from gcd_dataset.errors import ConfigError, RemoteError, ShardError, did_you_mean, shown
 from gcd_dataset.files import drafted, make_folder
-from gcd_dataset.hub.card import LICENSES, PREVIEW, Release, card, croissant
+from gcd_dataset.hub.card import LICENSES, Release, card, croissant
 from gcd_dataset.hub.download import remove_others, tars_of, write_changed
 from gcd_dataset.hub.fetch import first_line
 from gcd_dataset.hub.partition import DESIGN, SHARES, leaks, partition
@@ -22,7 +21,7 @@ from gcd_dataset.hub.remote import hub_endpoint
 from gcd_dataset.hub.source import Repo, parse_source
 from gcd_dataset.shards.access import REMEDY, Place, locked, reading
 from gcd_dataset.shards.index import index_name
-from gcd_dataset.shards.layout import FAILED, META
+from gcd_dataset.shards.layout import FAILED
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, Plan, ShardRecord
 from gcd_dataset.shards.notes import gather, hashed, note_name, note_of
 from gcd_dataset.shards.reader import ShardReader
@@ -33,11 +32,9 @@ from gcd_dataset.shards.writer import shard_size_of
 CARD, CROISSANT = "README.md", "croissant.json"
 ANY_ENDPOINT = "1.31"  # first tested version of huggingface_hub that publishes to any endpoint
 STAGED = ".staged"  # marks a staging folder: its shards are copies and may be replaced
-REPLACED = re.compile(r"(views/)?[^/]+-\d{5,}\.tar|[^/]+\.index|preview\.parquet")
+REPLACED = re.compile(r"(views/)?[^/]+-\d{5,}\.tar|[^/]+\.index")
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
 """Other names of splits to the Hub's names."""
-PREVIEWED = 100  # garments
-TEXTS, FRONT = ("caption.txt", "measures.json", "design.txt"), "front.jpg"
 
 log = logging.getLogger(__name__)
 
@@ -124,12 +121,9 @@ def stage(
     staged = {split: ShardReader(folder, split) for split in manifest.splits}
     settled = {split: int(reader.index.settled.sum()) for split, reader in staged.items()}
     first = staged.get("train", next(iter(staged.values())))
-    preview = _preview(first)
-    if preview is not None:
-        write_changed(folder / PREVIEW, preview)
-    others = [MANIFEST, *map(index_name, staged), *([PREVIEW] if preview else [])]
+    others = [MANIFEST, *map(index_name, staged)]
     is_divided, hub = divided is not None or manifest.recipe is not None, hub_endpoint(endpoint)
-    release = Release(repo, manifest, settled, first.layout.members, license, is_divided, hub, preview is not None)
+    release = Release(repo, manifest, settled, first.layout.members, license, is_divided, hub)
     described = croissant(release, {**{name: hashed(folder / name) for name in others}, **tars})
     write_changed(folder / CARD, card(release).encode())
     write_changed(folder / CROISSANT, (json.dumps(described, indent=1) + "\n").encode())
@@ -267,29 +261,6 @@ def _write_shard(
     note = note_of(folder / names[0], views_path, split, number, plan)
     write_changed(folder / note_name(split, number), note.to_bytes())
     return {*names}
-
-
-def _preview(reader: ShardReader) -> bytes | None:
-    """A table of the first garments of a split, which the Hub shows; ``None`` without ``pyarrow``."""
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError:
-        log.warning("without a preview, which needs pyarrow: pip install 'gcd-dataset[publish]'")
-        return None
-    members = [member for member in (META, *TEXTS, FRONT) if member in reader.layout.members]
-    rows, positions = [], range(min(PREVIEWED, len(reader)))
-    for position, found in zip(positions, reader.read_many(positions, members), strict=True):
-        meta = json.loads(bytes(found[META]))
-        row = {"key": reader.key(position), "grade": meta["grade"], "outcome": (meta["drape"] or {}).get("outcome")}
-        row |= {member.partition(".")[0]: bytes(found[member]).decode() for member in TEXTS if member in found}
-        rows.append(row | ({"front": {"bytes": bytes(found[FRONT])}} if FRONT in found else {}))
-    text, picture = pyarrow.string(), pyarrow.struct({"bytes": pyarrow.binary(), "path": pyarrow.string()})
-    schema = pyarrow.schema({name: picture if name == "front" else text for name in rows[0]})
-    kinds = {name: {"_type": "Image"} if name == "front" else {"_type": "Value", "dtype": "string"} for name in rows[0]}
-    schema, output = schema.with_metadata({"huggingface": json.dumps({"info": {"features": kinds}})}), io.BytesIO()
-    parquet.write_table(pyarrow.Table.from_pylist(rows, schema), output)
-    return output.getvalue()
 
 
 def _require_endpoint(endpoint: str) -> None:

@@ -12,7 +12,6 @@ from gcd_dataset.shards.layout import BODIES, FIELDS, GARMENTS, MEMBERS, SCHEMA,
 from gcd_dataset.shards.manifest import Manifest, Plan, ShardRecord, SplitRecord, read_manifest
 
 if TYPE_CHECKING:
-    from gcd_dataset.shards.body_set import BodyWriter
     from gcd_dataset.shards.reader import ShardReader
     from gcd_dataset.shards.writer import ShardWriter
 
@@ -22,7 +21,6 @@ __all__ = [
     "GARMENTS",
     "MEMBERS",
     "SCHEMA",
-    "BodyWriter",
     "Layout",
     "Manifest",
     "Plan",

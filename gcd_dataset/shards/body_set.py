@@ -22,22 +22,18 @@ import math
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from gcd_dataset import __version__
 from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
 from gcd_dataset.errors import ShardError
-from gcd_dataset.files import write_whole
 from gcd_dataset.records import POSITION_STEP, BodyShape, Measurements
 from gcd_dataset.shards.access import REMEDY, read_file
 from gcd_dataset.shards.codec import measures_json, read_measures
-from gcd_dataset.shards.layout import BODIES, LARGEST_SAMPLE, SCHEMA, Bytes, key_of, mesh_name, recipe_hash
+from gcd_dataset.shards.layout import LARGEST_SAMPLE, SCHEMA, Bytes, key_of, mesh_name, recipe_hash
 from gcd_dataset.shards.meta import json_text, read_meta, sealed
 from gcd_dataset.shards.sections import Coding, pack, unpack
-from gcd_dataset.shards.writer import ShardWriter
 
 MEMBER_OF: Mapping[str, str] = {
     "name": "meta.json", "arm_angle": "meta.json", "measures": "measures.json"
@@ -50,54 +46,6 @@ POSITION = Coding(2, step=round(math.log2(POSITION_STEP)))
 
 
 # -------------------------------------------------------------------------------------------------------------- writing
-
-
-class BodyWriter:
-    """Writes the people of a new split, all on one mesh, into a folder; used like ``ShardWriter``."""
-
-    def __init__(
-        self,
-        folder: Path | str,
-        mesh: BodyMesh,
-        *,
-        split: str = "train",
-        seed: int,
-        recipe: Mapping[str, Any],
-        versions: Mapping[str, str] | None = None,
-        count: int | None = None,
-        shard_size: int | None = None,
-    ) -> None:
-        self._path, self._mesh, self._recipe = Path(folder) / mesh_name(split), mesh, {**recipe, "mesh": mesh.sha256}
-        self._origin = {"seed": seed, "versions": {"gcd_dataset": __version__, **(versions or {})}}
-        self._shards = ShardWriter(
-            folder, split=split, seed=seed, recipe=self._recipe, count=count, shard_size=shard_size, layout=BODIES
-        )
-
-    def write(self, index: int, person: Person) -> None:
-        """Add a person. Raises as ``ShardWriter.add`` does, and ``ShardError`` for one on another mesh."""
-        for pose in POSES:
-            if (count := len(getattr(person, pose))) != self._mesh.n_vertices:
-                raise ShardError(
-                    f"person {person.name} cannot be stored: {count} vertices in pose {pose}, but the mesh of this set "
-                    f"has {self._mesh.n_vertices}"
-                )
-        self._shards.add(index, encode_person(person, {**self._origin, "index": index, "recipe": self._recipe}))
-
-    def close(self) -> None:
-        """Write the mesh, finish the shards, and write manifest and index. Raises ``OutputError``."""
-        write_whole(self._path, mesh_bytes(self._mesh))
-        self._shards.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self._shards.__exit__(kind, error, trace)
 
 
 def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]:

@@ -1,11 +1,11 @@
 """USTAR archives (POSIX.1-1988), reproducible: equal members give equal bytes."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator
-from typing import BinaryIO, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 from gcd_dataset.errors import ShardError, shown
-from gcd_dataset.shards.layout import LARGEST_SAMPLE, MOST_VIEWS, Bytes
+from gcd_dataset.shards.layout import Bytes
 
 BLOCK = 512
 ZEROS = bytes(BLOCK)
@@ -13,9 +13,6 @@ END = 2 * BLOCK  # bytes of zeros at the end of an archive
 CHUNK = 1 << 20  # bytes
 LONGEST_NAME = 100
 LARGEST = 8**11 - 1  # bytes: eleven octal digits
-MOST_MEMBERS = 2 * MOST_VIEWS + 32  # of a sample
-LARGEST_STREAMED = LARGEST_SAMPLE // 2  # bytes of a member: tarfile makes copies of it
-PIECE = 1 << 14  # bytes of a read for other readers, which ask for about as many
 CHECKSUM = slice(148, 156)
 KIND, PLAIN = 156, ord("0")
 
@@ -90,8 +87,9 @@ def samples_in(content: memoryview) -> Iterator[tuple[str, dict[str, memoryview]
         yield key, members
 
 
-def _members(header_at: Callable[[int], bytes], end: int, position: int = 0) -> Iterator[TarMember]:
+def _members(header_at: Callable[[int], bytes], end: int) -> Iterator[TarMember]:
     """The members of an archive up to byte ``end``, or the first block of zeros. Raises ``ShardError``."""
+    position = 0
     while position < end and (header := header_at(position)) != ZEROS:
         name, size = _parse(header, position)
         position += BLOCK
@@ -99,49 +97,6 @@ def _members(header_at: Callable[[int], bytes], end: int, position: int = 0) -> 
             raise ShardError(f"member {shown(name)} is cut off at byte {end}")
         yield TarMember(name, position, size)
         position += padded(size)
-
-
-class CheckedTar:
-    """Samples of an archive of unknown origin, as an archive for other readers: checks headers before they see them.
-
-    ``samples``: key, first and last byte of each, in this order; nothing else in ``file`` is read. Allowed are plain
-    files with USTAR headers under the key of their sample, up to ``LARGEST_STREAMED`` bytes each and ``MOST_MEMBERS`` a
-    sample: no sparse files, no extended headers, no links, no compression. Reading raises ``ShardError`` for any other.
-    """
-
-    def __init__(self, file: BinaryIO, samples: Iterable[tuple[str, int, int]]) -> None:
-        self._pieces, self._rest = self._checked(file, samples), b""
-
-    def read(self, size: int) -> bytes:
-        """The next ``size`` bytes, fewer at the end of the archive."""
-        while len(self._rest) < size and (piece := next(self._pieces, b"")):
-            self._rest += piece
-        data, self._rest = self._rest[:size], self._rest[size:]
-        return data
-
-    @staticmethod
-    def _checked(file: BinaryIO, samples: Iterable[tuple[str, int, int]]) -> Iterator[bytes]:
-        def read(place: int, size: int = BLOCK) -> bytes:
-            file.seek(place)
-            return file.read(size)
-
-        for key, start, end in samples:
-            names = set[str]()
-            for name, offset, size in _members(read, end, start):
-                if name.partition(".")[0] != key:
-                    raise ShardError(f"member {shown(name)} at byte {offset}, in the place of {key}")
-                if size > LARGEST_STREAMED:
-                    raise ShardError(f"member {shown(name)} has {size} bytes, over the limit of {LARGEST_STREAMED}")
-                if name in names:
-                    raise ShardError(f"member {shown(name)} occurs twice, again at byte {offset}")
-                names.add(name)
-                if len(names) > MOST_MEMBERS:
-                    raise ShardError(f"sample {key} has over {MOST_MEMBERS} members")
-                for place in range(offset - BLOCK, stop := offset + padded(size), PIECE):
-                    if len(piece := read(place, min(PIECE, stop - place))) < min(PIECE, stop - place):
-                        raise ShardError(f"member {shown(name)} is cut off at byte {place + len(piece)}")
-                    yield piece
-        yield bytes(END)
 
 
 def _octal(digits: bytes) -> int:

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.body.shape import (
         build_body,
         draw_shape,
-        female_shape,
-        male_shape,
         named_shape,
         neutral_shape,
     )
@@ -23,9 +21,7 @@ __all__ = [
     "FittedShape",
     "build_body",
     "draw_shape",
-    "female_shape",
     "fit_shape",
-    "male_shape",
     "measure",
     "named_body",
     "named_shape",

@@ -15,7 +15,6 @@ from jaxtyping import Float, Int, UInt8
 from gcd_dataset.bodyfiles import obj_lines, read_body_parts, read_measurements, require_same_body
 from gcd_dataset.errors import BodyError
 from gcd_dataset.files import read_whole
-from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.register import UNITS, unit_of
@@ -80,22 +79,10 @@ def _read_obj(content: bytes, path: Path) -> _Mesh:
 
 def _read_stl(content: bytes, path: Path) -> _Mesh:
     corners = np.asarray(_loaded(io.BytesIO(content), "stl").triangles, float)
-    if (body := _with_model_numbering(corners)) is not None:
-        return body
     _, first, number = np.unique(corners.reshape(-1, 3), axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     faces = np.argsort(order)[number.ravel()].reshape(-1, 3)
     return corners.reshape(-1, 3)[first[order]], faces
-
-
-def _with_model_numbering(corners: Float[np.ndarray, "f 3 3"]) -> _Mesh | None:
-    """The mesh with the body model's vertex numbers, if its triangles are the model's; else ``None``."""
-    model = body_model()
-    if len(corners) != len(model.faces):
-        return None
-    vertices = np.full(model.mean.shape, np.nan)
-    vertices[model.faces] = corners
-    return (vertices, model.faces) if np.array_equal(vertices[model.faces], corners) else None
 
 
 def _read_glb(content: bytes, path: Path) -> _Mesh:
@@ -159,7 +146,6 @@ def read_body(
     mesh: Path | str,
     measurements: Path | str | None = None,
     segmentation: Path | str | None = None,
-    given: Path | str | None = None,
     *,
     height: float | None = None,
 ) -> tuple[Body, Measurements]:
@@ -169,20 +155,15 @@ def read_body(
     it the mesh must be in metres, centimetres or millimetres. The vertices keep their order; unused ones, and other
     objects that are not connected to the body, are left out, and the centres of closed holes (see
     ``repair.WIDEST_HOLE``) follow. ``measurements`` (YAML) and ``segmentation`` (JSON: part name to vertex ids)
-    override what is found; measures far from those of the mesh are reported. ``given`` (JSON, see ``landmarks``)
-    overrides the landmarks at which measures are taken.
+    override what is found; measures far from those of the mesh are reported.
 
-    Raises ``BodyError`` with the file and a remedy, also for ``given`` beside ``measurements``, and for a height that
-    no adult has; ``ConfigError`` for such a ``height``.
+    Raises ``BodyError`` with the file and a remedy, also for a height that no adult has; ``ConfigError`` for such a
+    ``height``.
     """
-    if given is not None and measurements is not None:
-        raise BodyError(
-            f"{given}: landmarks have no effect beside the measures of {measurements}: leave one of them out"
-        )
     file = _MeshFile.read(Path(mesh), segmentation)
     size = None if measurements is None else read_measurements(measurements)
     try:
-        found = _find_body(file, given, height)
+        found = _find_body(file, None, height)
     except BodyError as error:
         if size is None or file.parts is None:
             raise

@@ -392,10 +392,6 @@ class SkinMesh(Record):
         normals = _normals(reference, faces)
         return cls(faces, normals / np.linalg.norm(normals, axis=0), _adjacent_faces(face_edges), means)
 
-    def flattened(self, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
-        """The vertices with folded patches and self-intersecting creases smoothed."""
-        return self.smoothed(vertices, ROUNDS, resolve_creases=True).vertices
-
     def smoothed(
         self,
         vertices: Float[np.ndarray, "v 3"],
@@ -404,7 +400,7 @@ class SkinMesh(Record):
         resolve_creases: bool,
         normals: Float[np.ndarray, "3 f"] | None = None,
     ) -> "Smoothed":
-        """The vertices as ``flattened`` after at most ``rounds`` rounds of smoothing.
+        """The vertices with folds, and on request self-intersecting creases, smoothed in at most ``rounds`` rounds.
 
         ``normals``: those of the vertices, from an earlier call.
         """
@@ -423,14 +419,6 @@ class SkinMesh(Record):
             normals[:, moved] = _normals(vertices, self.faces[moved])
             rounds -= 1
         return Smoothed(vertices, rounds, normals)
-
-    def folded(self, vertices: Float[np.ndarray, "v 3"]) -> Bool[np.ndarray, " f"]:
-        """Whether each face is inverted against the reference."""
-        return _dot(_normals(vertices, self.faces), self.normals) < 0.0
-
-    def intersecting(self, vertices: Float[np.ndarray, "v 3"]) -> Int[np.ndarray, " n"]:
-        """Faces near creases that intersect each other."""
-        return self._intersecting(vertices, _normals(vertices, self.faces))
 
     def _intersecting(self, vertices: np.ndarray, normals: Float[np.ndarray, "3 f"]) -> Int[np.ndarray, " n"]:
         # Every crease has a face turned from its reference normal: a cheaper test than pairs of faces.

@@ -141,16 +141,6 @@ def neutral_shape(*, legs_apart: bool = False) -> BodyShape:
     return named_shape("neutral", legs_apart=legs_apart)
 
 
-def female_shape(*, legs_apart: bool = False) -> BodyShape:
-    """The mean woman."""
-    return named_shape("female", legs_apart=legs_apart)
-
-
-def male_shape(*, legs_apart: bool = False) -> BodyShape:
-    """The mean man."""
-    return named_shape("male", legs_apart=legs_apart)
-
-
 def named_shape(name: str, *, legs_apart: bool = False) -> BodyShape:
     """The shape of the body ``neutral``, ``female`` or ``male``. Raises ``BodyError`` for another name."""
     named = body_model().named

@@ -14,12 +14,12 @@ from pxr import Usd, UsdGeom, UsdShade
 
 from gcd_dataset import exports
 from gcd_dataset.errors import ConfigError, ExtraMissing, ShardError
-from gcd_dataset.exports.blender_import import read_facts
 from gcd_dataset.exports.meshes import seam_vertices, smooth_normals, texture_coordinates
 from gcd_dataset.generator.body import build_body
 from gcd_dataset.records import BoxMesh, Drape, Outcome, Sample
 from tests.exports.patterns import NAMES
 from tests.helpers import patch, tube
+from tools.blender_import import read_facts
 
 WRITERS: dict[str, Callable[..., None]] = {
     "glb": exports.glb,

@@ -10,12 +10,11 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from gcd_dataset import exports
-from gcd_dataset.exports import blender_import
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Sample
 
-SCRIPT = Path(blender_import.__file__)
+SCRIPT = Path(__file__).resolve().parents[2] / "tools" / "blender_import.py"
 OWN = Path(__file__).resolve().parents[2] / ".venv-blender/bin/python"  # bpy wants a NumPy of its own
 PYTHON = OWN if OWN.exists() else Path(sys.executable)
 HAS_BLENDER = not subprocess.run([PYTHON, "-c", "import bpy"], capture_output=True, check=False).returncode

@@ -16,10 +16,10 @@ from gcd_dataset.cli.garment import measured_text
 from gcd_dataset.generator.body import (
     build_body,
     draw_shape,
-    female_shape,
     fit_shape,
     measure,
     mesh_bodies,
+    named_shape,
     read_body,
     read_measurements,
 )
@@ -93,7 +93,7 @@ def nearest(body: Body, point: list[float]) -> int:
 
 def test_a_scan_with_holes_has_the_field_of_the_whole_body(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A hole in the shin, a loose scrap and inconsistent winding change the distance field by less than 1.5 cm."""
-    woman = build_body(female_shape())
+    woman = build_body(named_shape("female"))
     shin = np.linalg.norm(woman.vertices - woman.vertices[nearest(woman, [12.0, 35.0, 20.0])], axis=1) < 2.0
     faces = woman.faces[~shin[woman.faces].any(axis=1)]
     faces = np.where((np.arange(len(faces)) % 7 == 0)[:, None], faces[:, ::-1], faces)
@@ -140,7 +140,7 @@ def test_ten_percent_larger_measures_fit_a_ten_percent_larger_body() -> None:
 
 
 def test_our_mesh_in_a_scene_is_measured_upright_and_alone(tmp_path: Path) -> None:
-    body = build_body(female_shape())
+    body = build_body(named_shape("female"))
     scene(body).export(tmp_path / "scene.obj")
     _, size = read_body(tmp_path / "scene.obj", height=float(np.ptp(body.vertices[:, 1])))
     assert max(map(abs, off(size, measure(body)).values())) < 0.7
@@ -148,7 +148,7 @@ def test_our_mesh_in_a_scene_is_measured_upright_and_alone(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("lean", [3.0, -30.0])
 def test_our_mesh_is_set_upright(lean: float, tmp_path: Path) -> None:
-    body = build_body(female_shape())
+    body = build_body(named_shape("female"))
     turn = Rotation.from_euler("x", lean, degrees=True).as_matrix()
     trimesh.Trimesh(body.vertices @ turn.T, body.faces, process=False).export(tmp_path / "own.ply")
     result, remarks = measure_file(tmp_path / "own.ply")
@@ -206,7 +206,7 @@ def test_damage_that_a_fit_finds_is_an_error(kind: str, tmp_path: Path) -> None:
 
 
 def test_arms_near_the_a_pose_are_measured_as_they_are() -> None:
-    body = build_body(BodyShape(female_shape().weights, np.radians(15.0)))
+    body = build_body(BodyShape(named_shape("female").weights, np.radians(15.0)))
     found = find_body(body.vertices, np.roll(body.faces, 1, axis=0))
     assert found.arm_turn == 0.0
     assert found.result.measurements.shoulder_incl == pytest.approx(measure(body).shoulder_incl, abs=np.radians(1.0))
@@ -223,7 +223,7 @@ def test_a_body_like_smplxs_lying_in_z_up_centimetres(tmp_path: Path, monkeypatc
         return fits[0]
 
     monkeypatch.setattr(mesh_bodies, "find_body", fit)
-    shape = BodyShape(female_shape().weights)
+    shape = BodyShape(named_shape("female").weights)
     vertices, faces = like_smplx(shape)
     assert len(vertices) == SMPLX_VERTICES
     path = written(tmp_path / "smplx.obj", 100.0 * vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0], faces)

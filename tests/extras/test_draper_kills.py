@@ -23,9 +23,9 @@ from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import DraperAddress, SharedDraper
 from gcd_dataset.generator.drapers.address import _create, socket_file
 from gcd_dataset.generator.maker import produce
-from gcd_dataset.generator.pipeline import sample_key
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import FakeGarments, FreshGarments, collate_list
+from gcd_dataset.shards.layout import key_of
 from tests.loaders.draping import COUNT, SKIRTS, Apart, drape_request, drapers, items, kill_drapers, own_address
 from tests.loaders.test_shards import assert_all_same
 
@@ -138,7 +138,7 @@ def test_a_draper_killed_under_workers_is_one_error(address: DraperAddress, monk
     kill_drapers(address)
     with pytest.raises(DrapeError, match="drapes on cpu has ended"):
         given.extend(made)
-    assert [sample.key for sample in given] == [sample_key(index) for index in range(len(given))]
+    assert [sample.key for sample in given] == [key_of(index) for index in range(len(given))]
 
 
 def test_workers_are_distributed_over_the_draping_processes(address: DraperAddress) -> None:

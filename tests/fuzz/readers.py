@@ -1,11 +1,8 @@
 """Every reader of external files: its input, its result in comparable form, and whether checksums protect it."""
 
-import contextlib
-import io
 import json
 import os
 import shutil
-import tarfile
 import tempfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -20,7 +17,6 @@ import torch
 import trimesh
 import yaml
 import zstandard
-from webdataset.tariterators import tar_file_iterator
 
 from gcd_dataset import generate_people
 from gcd_dataset.bodyfiles import measurements_text
@@ -48,9 +44,7 @@ from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.codec import decode_field, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
-from gcd_dataset.shards.layout import FIELDS, key_of
-from gcd_dataset.shards.notes import stored_samples
-from gcd_dataset.shards.tar import CheckedTar
+from gcd_dataset.shards.layout import FIELDS
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from gcd_dataset.viewer.design_desk import Desk, controls
 from gcd_dataset.viewer.garments import spec_album
@@ -209,19 +203,6 @@ def _sections(_: Path, member: str) -> Reader:
         return _plain(decode_fields({**members, member: zstandard.compress(data)}, fields))
 
     return Reader(zstandard.decompress(members[member]), read, protected=False)
-
-
-def _checked_tar(folder: Path) -> Reader:
-    """A tar of unknown origin, as webdataset sees it."""
-    path = write_shards(folder) / SHARD
-    content, spans = path.read_bytes(), [(key_of(one.number), one.start, one.end) for one in stored_samples(path)]
-
-    def read(data: bytes) -> Any:
-        stream = CheckedTar(io.BytesIO(data), spans)
-        with contextlib.suppress(tarfile.TarError):
-            return list(tar_file_iterator(stream))
-
-    return Reader(content, read, protected=False)
 
 
 def _state(folder: Path) -> Reader:
@@ -397,7 +378,6 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "sample-measures": partial(_sample, field="measures"),
     "sample-spec": partial(_sample, field="spec"),
     "sample-faces": partial(_sample, field="faces"),
-    "checked-tar": _checked_tar,
     "loader-state": _state,
     "release-archive": partial(_published, ending="data.tar.gz", packed=True),
     "release-specification": partial(_published, ending="_specification.json"),

@@ -24,11 +24,12 @@ from gcd_dataset.generator.garments import Reject, attempted_design, design_from
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.pipeline import build_pattern, fit, sample_key
+from gcd_dataset.generator.pipeline import build_pattern, fit
 from gcd_dataset.generator.recipe import MakeConfig, devices_of, recipe_of
 from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Pattern, Sample
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.codec import encode_sample
+from gcd_dataset.shards.layout import key_of
 
 FLAT = MakeConfig(stage="pattern")
 MESHED = MakeConfig(stage="mesh", resolution=8.0, points=64)
@@ -359,7 +360,7 @@ if __name__ == "__main__":
 def test_workers_serve_a_script_from_standard_input() -> None:
     """Which has no file that a spawned worker could import."""
     finished = subprocess.run([sys.executable, "-"], input=SCRIPT, capture_output=True, text=True, check=False)
-    assert finished.stdout.strip() == str([sample_key(0), sample_key(1)]), finished.stderr
+    assert finished.stdout.strip() == str([key_of(0), key_of(1)]), finished.stderr
 
 
 def test_workers_and_a_single_process_make_the_same_samples() -> None:

@@ -1,6 +1,5 @@
-"""Publishing: division into splits, staging, card, preview and upload."""
+"""Publishing: division into splits, staging, card and upload."""
 
-import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -138,7 +137,7 @@ def test_licenses_are_those_of_the_hub(both: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "up").exists()
 
 
-def test_the_card_declares_tars_pictures_and_preview(staged: Staged) -> None:
+def test_the_card_declares_tars_and_pictures(staged: Staged) -> None:
     text = (staged.folder / "README.md").read_text()
     facts = yaml.safe_load(text.split("---")[1])
     assert (facts["license"], facts["size_categories"]) == ("cc-by-4.0", ["n<1K"])
@@ -152,20 +151,14 @@ def test_the_card_declares_tars_pictures_and_preview(staged: Staged) -> None:
             assert found == [shard.name(entry["split"], views=is_views) for shard in shards]
     assert yaml.safe_load(huggingface_hub.DatasetCard(text).data.to_yaml()) == facts
     assert "80 garments" in text and "at most 0.001 cm" in text
-    assert 'GarmentDataset("org/new-set"' in text and "(preview.parquet)" in text
+    assert 'GarmentDataset("org/new-set"' in text
 
 
-def test_without_pyarrow_there_is_no_preview_and_a_dry_run_sends_nothing(
-    hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
+def test_a_dry_run_sends_nothing(hub: Hub, tmp_path: Path) -> None:
     data, staged = fill(tmp_path / "data", range(4)), list[Staged]()
     done = publish(data, "org/dry", dry_run=True, endpoint=hub.endpoint, on_staged=staged.append)
     assert done.commit is None and staged == [done] and not hub.log
     assert done.folder == data / "published"
-    assert "preview.parquet" not in done.files
-    assert "preview" not in (done.folder / "README.md").read_text()
-    assert "pip install 'gcd-dataset[publish]'" in caplog.text
 
 
 def test_only_changed_shards_are_staged_again(tmp_path: Path) -> None:

@@ -11,15 +11,15 @@ import pytest
 import torch
 from torch.utils.data import ConcatDataset, DataLoader
 
+from gcd_dataset import generate_people
 from gcd_dataset.bodies import POSES
 from gcd_dataset.errors import BodyError, ConfigError, ShardError
 from gcd_dataset.generator.body import build_body, measure
-from gcd_dataset.generator.body.by_name import make_person, model_mesh, people_recipe
+from gcd_dataset.generator.body.by_name import make_person
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.records import MEASURES, BodyPart
-from gcd_dataset.shards import BodyWriter
 from tests.loaders.test_shards import same
 from tests.release.published import publish_people, segmentation
 from tests.shards.people import MESH, fake_person, fill
@@ -32,9 +32,7 @@ SEED = 5
 def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three generated people in shards."""
     folder = tmp_path_factory.mktemp("ours")
-    with BodyWriter(folder, model_mesh(), seed=SEED, recipe=people_recipe("random")) as writer:
-        for index in range(COUNT):
-            writer.write(index, make_person(SEED, index))
+    generate_people(folder, COUNT, seed=SEED, workers=0)
     return folder
 
 
@@ -187,9 +185,7 @@ def test_the_published_layout_gives_the_same_items(ours: Path, published: Path, 
 
 
 def test_an_unfinished_run_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with BodyWriter(tmp_path, MESH, seed=SEED, recipe={"stage": "body", "bodies": "random"}, count=9) as writer:
-        for index in range(3):
-            writer.write(index, fake_person(index))
+    fill(tmp_path, range(3), seed=SEED, recipe={"stage": "body", "bodies": "random"}, count=9)
     BodyDataset(tmp_path, partial=True)
     assert not caplog.messages
     BodyDataset(tmp_path)

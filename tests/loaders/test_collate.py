@@ -2,12 +2,10 @@
 
 import multiprocessing
 import random
-import sys
 from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -28,7 +26,6 @@ from gcd_dataset.loaders import (
     collate_padded,
     mesh_edges,
     seam_graph,
-    to_pyg,
 )
 from gcd_dataset.loaders.batches import RAGGED, buffer_of, copy_tensor
 from tests.loaders.test_shards import same
@@ -288,22 +285,6 @@ def test_an_item_that_is_no_dict_is_refused(collate: Any, item: Any) -> None:
         collate([item, item])
 
 
-class Hetero(dict[Any, SimpleNamespace]):
-    """The part of ``HeteroData`` that is used."""
-
-    def __missing__(self, key: Any) -> SimpleNamespace:
-        return self.setdefault(key, SimpleNamespace())
-
-
-@pytest.fixture
-def pyg(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stand-in for PyTorch Geometric that records its arguments."""
-    package, data = ModuleType("torch_geometric"), ModuleType("torch_geometric.data")
-    vars(data).update(Data=SimpleNamespace, HeteroData=Hetero)
-    monkeypatch.setitem(sys.modules, "torch_geometric", package)
-    monkeypatch.setitem(sys.modules, "torch_geometric.data", data)
-
-
 def test_a_tube_is_two_panels_sewn_twice(items: list[dict[str, Any]]) -> None:
     graph = seam_graph(items[0])
     assert graph.next_edge.tolist() == [[0, 1, 2, 3, 4, 5, 6, 7], [1, 2, 3, 0, 5, 6, 7, 4]]
@@ -315,6 +296,7 @@ def test_a_tube_is_two_panels_sewn_twice(items: list[dict[str, Any]]) -> None:
 
 def test_a_batch_is_the_disjoint_union_of_its_garments(items: list[dict[str, Any]], batch: PackedBatch) -> None:
     whole = seam_graph(batch)
+    assert batch.owners("panels").tolist() == [number for number in range(B) for _ in range(2)]
     for name, first in (("next_edge", "edges"), ("sewn_edges", "edges"), ("sewn_panels", "panels")):
         moved = [getattr(seam_graph(item), name) + batch[f"{first}_ptr"][k] for k, item in enumerate(items)]
         ours, theirs = (sorted(pairs.T.tolist()) for pairs in (getattr(whole, name), torch.cat(moved, dim=1)))
@@ -330,50 +312,11 @@ def test_mesh_edges_satisfy_eulers_formula(items: list[dict[str, Any]]) -> None:
         assert (pairs[0] != pairs[1]).all()
 
 
-@pytest.mark.usefixtures("pyg")
-def test_meshes_for_pyg(items: list[dict[str, Any]], batch: PackedBatch) -> None:
-    one, all_ = to_pyg(items[0]), to_pyg(batch)
-    assert torch.equal(one.pos[one.face], items[0]["verts"][items[0]["faces"].T])
-    assert not hasattr(one, "batch")
-    assert torch.equal(all_.ptr, batch.verts_ptr)
-    assert torch.equal(all_.batch[all_.edge_index[0]], all_.batch[all_.edge_index[1]])
-    assert all_.face.dtype == all_.edge_index.dtype == torch.int64
-    undraped = {**items[0], "verts": items[0]["verts"][:0]}
-    assert torch.equal(to_pyg(undraped).pos, items[0]["box"])
-
-
-@pytest.mark.usefixtures("pyg")
-def test_patterns_for_pyg(items: list[dict[str, Any]], batch: PackedBatch) -> None:
-    data = to_pyg(batch, "pattern")
-    assert data["panel"].x.shape == (2 * B, 14)
-    alone = to_pyg(items[-1], "pattern")["edge"].x
-    assert alone.dtype == torch.float32
-    assert torch.equal(data["edge"].x[-len(alone) :], alone)  # features do not depend on the batch
-    assert data["panel"].batch.tolist() == [number for number in range(B) for _ in range(2)]
-    of = data["edge", "of", "panel"].edge_index
-    assert torch.equal(data["panel"].batch[of[1]], data["edge"].batch[of[0]])
-    assert data["edge", "sewn", "edge"].edge_index.shape == (2, 4 * B)
-    assert to_pyg(items[0], "pattern")["edge", "next", "edge"].edge_index.shape == (2, 8)
-
-
-def test_unknown_graphs_and_missing_fields_are_refused(
-    monkeypatch: pytest.MonkeyPatch, items: list[dict[str, Any]]
-) -> None:
-    monkeypatch.setitem(sys.modules, "torch_geometric", None)
-    with pytest.raises(ConfigError, match="torch_geometric, which is not installed"):
-        to_pyg(items[0])
-    with pytest.raises(ConfigError, match="choose mesh or pattern"):
-        to_pyg(items[0], "points")  # type: ignore[arg-type]
+def test_missing_fields_and_padded_batches_are_refused(items: list[dict[str, Any]]) -> None:
     with pytest.raises(ConfigError, match="the garment has no stitches: load that field too"):
         seam_graph({"edges": items[0]["edges"]})
     with pytest.raises(ConfigError, match="give an item or a packed batch"):
         seam_graph(collate_padded(items))
-
-
-@pytest.mark.usefixtures("pyg")
-def test_a_mesh_needs_vertices(items: list[dict[str, Any]]) -> None:
-    with pytest.raises(ConfigError, match="the garment has faces but no vertices"):
-        to_pyg({"faces": items[0]["faces"]})
 
 
 # -------------------------------------------------------------------------------------------------------------- buffers

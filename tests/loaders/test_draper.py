@@ -17,10 +17,10 @@ from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest, SharedDraper
 from gcd_dataset.generator.drapers.draper import make_reply
 from gcd_dataset.generator.drapers.process import ClientConnection, RequestQueue
 from gcd_dataset.generator.maker import produce
-from gcd_dataset.generator.pipeline import sample_key
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import FreshGarments, GarmentLoader, GeneratedGarments, collate_list
 from gcd_dataset.records import Outcome, Sample
+from gcd_dataset.shards.layout import key_of
 from tests.loaders.draping import COUNT, OPTIONS, SKIRTS, Apart, drape_request, drapers, items
 from tests.loaders.rendered import start_of
 from tests.loaders.test_shards import assert_all_same
@@ -96,7 +96,7 @@ def test_the_bodies_of_a_design_are_draped_once(monkeypatch: pytest.MonkeyPatch)
     assert_all_same(Apart(4, address_for("cpu"), **options).stream([1, 0, 1]), [one_by_one[k] for k in (1, 0, 1)])
     again = StandIn()
     made = made_ahead([2, 3, 3, 2], again, ahead=1, config=ds.config)
-    assert [sample.key for sample in made] == [sample_key(index) for index in (2, 3, 3, 2)]
+    assert [sample.key for sample in made] == [key_of(index) for index in (2, 3, 3, 2)]
     assert again.sent == [0, 1]
 
 
@@ -116,7 +116,7 @@ def test_a_slow_drape_does_not_hold_up_later_ones() -> None:
     sent_before = []
     for sample in made_ahead(range(6), draper, ahead=5):
         sent_before.append(len(draper.sent))
-        assert sample.key == sample_key(len(sent_before) - 1)
+        assert sample.key == key_of(len(sent_before) - 1)
     assert sent_before[0] >= 5
     assert draper.most_waiting == 3
 

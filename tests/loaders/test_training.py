@@ -5,7 +5,7 @@ import os
 import pickle
 import random
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import product
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import ChainDataset, DataLoader, Dataset, DistributedSampler, IterableDataset, Subset
+from torch.utils.data import ChainDataset, DataLoader, Dataset, DistributedSampler, Subset
 
 from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.loaders import (
@@ -174,11 +174,6 @@ class UsersDataset(Dataset):
         return index + float(torch.rand(()))
 
 
-class UsersStream(IterableDataset):
-    def __iter__(self) -> Iterator[int]:
-        return iter(torch.randperm(8).tolist())
-
-
 def test_users_data_sets_do_not_change_the_models_random_draws() -> None:
     for workers in (0, 1):
         assert list(GarmentLoader(UsersDataset(), 4, num_workers=workers, collate_fn=collate_list)) == list(
@@ -187,14 +182,7 @@ def test_users_data_sets_do_not_change_the_models_random_draws() -> None:
     torch.manual_seed(0)
     before = torch.get_rng_state()
     list(GarmentLoader(UsersDataset(), 4, collate_fn=collate_list))
-    loader = GarmentLoader(UsersStream(), 4, shuffle=False, collate_fn=collate_list)
-    first, second = ([number for batch in loader for number in batch] for _ in range(2))
     assert torch.equal(torch.get_rng_state(), before)
-    assert first != second
-    assert sorted(first) == sorted(second) == list(range(8))
-    resumed = GarmentLoader(UsersStream(), 4, shuffle=False, collate_fn=collate_list)
-    resumed.load_state_dict({**loader.state_dict(), "epoch": 1, "position": 4})
-    assert list(resumed) == [second[4:]]
 
 
 # ---------------------------------------------------------------------------------------------------------------- ranks
@@ -353,7 +341,7 @@ def test_the_state_of_another_data_set_is_refused(folder: Path, tmp_path: Path) 
     ]
     for first, second in pairs:
         state, fresh = GarmentLoader(first, 1, shuffle=False).state_dict(), GarmentLoader(second, 1, shuffle=False)
-        with pytest.raises(ConfigError, match="the state of another order: its dataset is"):
+        with pytest.raises(ConfigError, match=r"the state of another order: its (dataset|length) is"):
             fresh.load_state_dict(state)
         GarmentLoader(first, 1, shuffle=False).load_state_dict(state)
 

@@ -1,13 +1,17 @@
 """People of a few vertices, as body sets."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from gcd_dataset import __version__
 from gcd_dataset.bodies import BodyMesh, Person
 from gcd_dataset.records import MEASURES, BodyPart, BodyShape, Measurements
-from gcd_dataset.shards.body_set import BodyWriter
+from gcd_dataset.shards import ShardWriter
+from gcd_dataset.shards.body_set import encode_person, mesh_bytes
+from gcd_dataset.shards.layout import BODIES, mesh_name
 
 SHARD_SIZE = 4
 RECIPE = {"fake": True}
@@ -36,13 +40,22 @@ def fake_person(index: int) -> Person:
     )
 
 
-def fill(folder: Path, indices: Iterable[int], *, seed: int = 0, mesh: BodyMesh = MESH) -> Path:
-    """Write people to a folder with one writer."""
-    with open_writer(folder, seed=seed, mesh=mesh) as writer:
+def fill(
+    folder: Path,
+    indices: Iterable[int],
+    *,
+    seed: int = 0,
+    split: str = "train",
+    mesh: BodyMesh = MESH,
+    recipe: Mapping[str, Any] = RECIPE,
+    **options: Any,
+) -> Path:
+    """Write people to a folder."""
+    recipe = {**recipe, "mesh": mesh.sha256}
+    origin = {"seed": seed, "versions": {"gcd_dataset": __version__}, "recipe": recipe}
+    given = {"shard_size": SHARD_SIZE, **options}
+    with ShardWriter(folder, split=split, seed=seed, recipe=recipe, layout=BODIES, **given) as writer:
         for index in sorted(indices):
-            writer.write(index, fake_person(index))
+            writer.add(index, encode_person(fake_person(index), {**origin, "index": index}))
+    (folder / mesh_name(split)).write_bytes(mesh_bytes(mesh))
     return folder
-
-
-def open_writer(folder: Path, *, seed: int = 0, mesh: BodyMesh = MESH) -> BodyWriter:
-    return BodyWriter(folder, mesh, seed=seed, recipe=RECIPE, shard_size=SHARD_SIZE)

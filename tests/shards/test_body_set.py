@@ -10,7 +10,6 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.records import MEASURES
 from gcd_dataset.shards import BODIES, ShardReader
 from gcd_dataset.shards.body_set import (
-    BodyWriter,
     decode_body_fields,
     decode_person,
     encode_person,
@@ -19,8 +18,7 @@ from gcd_dataset.shards.body_set import (
 )
 from gcd_dataset.shards.sections import pack, unpack
 from tests.shards import folders
-from tests.shards.folders import contents
-from tests.shards.people import MESH, RECIPE, fake_person, fill, open_writer
+from tests.shards.people import MESH, RECIPE, fake_person, fill
 
 ORIGIN = {"index": 3, "seed": 0, "recipe": RECIPE, "versions": {"gcd_dataset": "0"}}
 
@@ -87,26 +85,14 @@ def test_damaged_people_are_one_sentence(change: dict[str, np.ndarray | None]) -
             decode_person({**members, "person.z": data})
 
 
-def test_people_on_another_mesh_are_not_stored_and_nothing_stays_of_a_stopped_writer(tmp_path: Path) -> None:
-    person = fake_person(0)
-    with (
-        pytest.raises(ShardError, match="3 vertices in pose apart, but the mesh of this set has 4"),
-        open_writer(tmp_path) as writer,
-    ):
-        writer.write(0, person)
-        writer.write(1, replace(person, apart=person.apart[:3]))
-    assert contents(tmp_path) == {}
-
-
 def test_garments_and_bodies_are_distinguished_and_share_a_folder_as_two_splits(whole: Path, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="holds bodies, not garments: read them with BodyDataset"):
         ShardReader(whole)
     with pytest.raises(ConfigError, match="holds split train already: choose another folder"):
-        open_writer(whole)
+        fill(whole, [0])
     garments = folders.fill(tmp_path / "garments", range(2))
     with pytest.raises(ShardError, match="holds garments, not bodies: read them with GarmentDataset"):
         ShardReader(garments, layout=BODIES)
-    with BodyWriter(garments, MESH, split="wearers", seed=0, recipe=RECIPE) as writer:
-        writer.write(0, fake_person(0))
+    fill(garments, [0], split="wearers")
     assert len(ShardReader(garments)) == 2
     assert len(ShardReader(garments, "wearers", layout=BODIES)) == 1

@@ -3,6 +3,7 @@
 import io
 import json
 import tarfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -163,3 +164,38 @@ def test_a_damaged_member_is_named() -> None:
         decode({**members, "verts.z": bytes(damaged)})
     with pytest.raises(ShardError, match=r"member future\.z: not a whole frame"):
         decode(".future.z", b"abc")
+
+
+def header(kind: bytes = tarfile.REGTYPE, name: str = "gcd_000000000.verts.z", **more: Any) -> bytes:
+    info = tarfile.TarInfo(name)
+    info.type = kind
+    for attribute, value in more.items():
+        setattr(info, attribute, value)
+    return info.tobuf(tarfile.PAX_FORMAT if "pax_headers" in more else tarfile.USTAR_FORMAT)
+
+
+def signed(position: int, field: bytes, kind: bytes = tarfile.REGTYPE) -> bytes:
+    """A header with other bytes at a position, and the checksum that belongs to them."""
+    content = bytearray(header(kind)[:BLOCK])
+    content[position : position + len(field)] = field
+    content[148:156] = 8 * b" "
+    content[148:156] = b"%06o\0 " % sum(content)
+    return bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (signed(483, b"100000000000", tarfile.GNUTYPE_SPARSE), "not a plain file"),  # declares 8 GiB
+        (header(pax_headers={"size": "99999999999"}), "not a plain file"),
+        (header(tarfile.GNUTYPE_LONGNAME, size=1 << 32), "not a plain file"),
+        (header(tarfile.SYMTYPE, linkname="/etc/passwd"), "not a plain file"),
+        (header(size=1 << 30), r"verts\.z is cut off"),
+        (signed(124, b"000000000017"), "tar header of another program"),  # other readers read twelve digits
+        (2 * header(), "occurs twice"),
+        (zlib.compress(bytes(1 << 20), wbits=31), "no tar header"),
+    ],
+)
+def test_headers_that_other_readers_understand_otherwise_are_refused(content: bytes, message: str) -> None:
+    with pytest.raises(ShardError, match=message):
+        list(samples_in(memoryview(content)))

@@ -9,7 +9,7 @@ import pytest
 import torch
 import trimesh
 
-from gcd_dataset.generator.body.by_name import make_person, model_mesh, people_recipe
+from gcd_dataset import generate_people
 from gcd_dataset.generator.drawing import SKIN, draw_body
 from gcd_dataset.loaders import (
     BodyDataset,
@@ -22,7 +22,6 @@ from gcd_dataset.loaders import (
 )
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Panel, Pattern, Sample, StoredView
-from gcd_dataset.shards import BodyWriter
 from gcd_dataset.viewer.notebook import item_html
 from tests.shards.folders import fill
 from tests.viewer.elements import Elements
@@ -43,9 +42,7 @@ def sample() -> Sample:
 def bodies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two generated people in shards."""
     folder = tmp_path_factory.mktemp("bodies")
-    with BodyWriter(folder, model_mesh(), seed=1, recipe=people_recipe("random")) as writer:
-        for index in range(2):
-            writer.write(index, make_person(1, index))
+    generate_people(folder, 2, seed=1, workers=0)
     return folder
 
 

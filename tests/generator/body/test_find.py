@@ -20,11 +20,10 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import (
     build_body,
     draw_shape,
-    female_shape,
     measure,
+    named_shape,
     read_body,
     read_measurements,
-    write_measurements,
 )
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.body.measuring import FoundBody, find_body
@@ -44,7 +43,7 @@ def unknown(body: Body) -> Body:
 
 @cache
 def woman() -> Body:
-    return unknown(build_body(female_shape()))
+    return unknown(build_body(named_shape("female")))
 
 
 @cache
@@ -74,13 +73,13 @@ def require_the_published_measures(path: Path) -> None:
 
 
 def test_found_landmarks_and_parts_equal_the_models() -> None:
-    assert not too_far(fitted_woman().result.measurements, measure(build_body(female_shape())))
+    assert not too_far(fitted_woman().result.measurements, measure(build_body(named_shape("female"))))
     skin = woman().parts != BodyPart.INTERNAL.value
     assert (fitted_woman().parts == woman().parts)[skin].mean() > 0.99
 
 
 def test_measures_of_the_models_mesh_scale_exactly() -> None:
-    body = build_body(female_shape())
+    body = build_body(named_shape("female"))
     small, large = measure(body).to_file_values(), measure(replace(body, vertices=1.1 * body.vertices)).to_file_values()
     for key in MEASURES:
         assert large[key] == pytest.approx(small[key] * (1.0 if key in ANGLES else 1.1), rel=1e-6)
@@ -110,7 +109,7 @@ def scene(body: Body) -> trimesh.Trimesh:
 
 
 def test_the_body_of_a_scene_is_measured_upright_and_alone(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    body = build_body(female_shape())
+    body = build_body(named_shape("female"))
     scene(unknown(body)).export(tmp_path / "scene.obj")
     with caplog.at_level(logging.INFO):
         stood, size = read_body(tmp_path / "scene.obj", height=float(np.ptp(body.vertices[:, 1])))
@@ -125,7 +124,7 @@ def test_the_body_of_a_scene_is_measured_upright_and_alone(tmp_path: Path, caplo
 
 def test_a_mirrored_body_keeps_its_left_on_the_left(tmp_path: Path) -> None:
     """Its vertices are our mesh's, its sides are not."""
-    body = build_body(female_shape())
+    body = build_body(named_shape("female"))
     trimesh.Trimesh(body.vertices * [-1.0, 1.0, 1.0], body.faces, process=False).export(tmp_path / "own.ply")
     mirrored, _ = read_body(tmp_path / "own.ply")
     assert mirrored.vertices[mirrored.parts == BodyPart.LEFT_ARM.value, 0].min() > 0.0
@@ -160,16 +159,6 @@ def test_given_landmarks_override_found_ones(tmp_path: Path) -> None:
     assert size.result.measurements.head_l == pytest.approx(fitted_woman().result.measurements.head_l + 5.0, abs=0.01)
     assert size.result.levels["waist"] == pytest.approx(100.0, abs=2.1)
     assert size.marks.confidence["nape_of_neck"] == 1.0
-
-
-def test_landmarks_beside_given_measures_are_an_error(tmp_path: Path) -> None:
-    """Given measures replace the measuring, which alone uses landmarks."""
-    body = build_body(female_shape())
-    trimesh.Trimesh(body.vertices, body.faces, process=False).export(tmp_path / "own.ply")
-    write_measurements(measure(body), tmp_path / "own.yaml")
-    (tmp_path / "marks.json").write_text('{"nape_of_neck": 3}')
-    with pytest.raises(BodyError, match=r"marks\.json: .* leave .* out"):
-        read_body(tmp_path / "own.ply", tmp_path / "own.yaml", given=tmp_path / "marks.json")
 
 
 @pytest.mark.parametrize("odd", [-7, 10**6])

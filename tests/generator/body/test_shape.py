@@ -14,9 +14,9 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import (
     build_body,
     draw_shape,
-    female_shape,
     fit_shape,
     measure,
+    named_shape,
     neutral_shape,
 )
 from gcd_dataset.generator.body.asset import body_model
@@ -41,7 +41,9 @@ def test_the_body_asset_is_small_and_matches_its_checksum() -> None:
     assert hashlib.sha256(content).hexdigest() == (folder / "body.npz.sha256").read_text().split()[0]
 
 
-@pytest.mark.parametrize("shape", [neutral_shape(), female_shape(legs_apart=True), draw_shape(rng(1, 0, Stage.BODY))])
+@pytest.mark.parametrize(
+    "shape", [neutral_shape(), named_shape("female", legs_apart=True), draw_shape(rng(1, 0, Stage.BODY))]
+)
 def test_skin_is_closed_and_faces_outwards(shape: BodyShape) -> None:
     mesh = mesh_of(build_body(shape))
     assert mesh.is_watertight
