@@ -1,6 +1,7 @@
 """Recipes for ``gcd info`` and ``gcd check``: listing them, and comparing a folder with one."""
 
-from collections.abc import Iterator
+import logging
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,10 +10,15 @@ import numpy as np
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.recipe import recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe, recipe_names
+from gcd_dataset.generator.recipes.hashing import made_patterns
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, RecipeRecord
 from gcd_dataset.shards.reader import ShardReader, stored_patterns
 from gcd_dataset.shards.store import FolderStore
+
+SAMPLED = 32  # designs generated again to check a recipe that has no hash of all its patterns
+
+log = logging.getLogger(__name__)
 
 
 def recipe_lines(name: str = "") -> Iterator[str]:
@@ -35,8 +41,8 @@ def recipe_faults(folder: Path, recipe: Recipe) -> Iterator[str]:
     """The differences between a folder and the data set of a recipe, one line each.
 
     Checked: the manifest names the recipe; each split holds the samples that the recipe assigns to it, made with its
-    seed and options on any device; the patterns have the hash of the manifest, and of the recipe if that has one.
-    Raises ``ShardError`` for a folder that cannot be read.
+    seed and options on any device; the patterns have the recipe's hash. For a recipe without a hash, some patterns are
+    made again and compared. Raises ``ShardError`` for a folder that cannot be read.
     """
     manifest = FolderStore(folder).manifest()
     stored = manifest.recipe or RecipeRecord("", "")
@@ -57,7 +63,9 @@ def recipe_faults(folder: Path, recipe: Recipe) -> Iterator[str]:
         yield f"{folder / MANIFEST}: no hash of the patterns yet: run gcd generate --recipe {recipe.name} again"
     elif not found.agrees(stored.patterns):
         yield f"{folder}: its patterns have hash {found.text}, but {MANIFEST} lists {stored.patterns}"
-    if recipe.patterns and not found.agrees(recipe.patterns):
+    if not recipe.patterns:
+        yield from _sampled_faults(folder, readers, recipe)
+    elif not found.agrees(recipe.patterns):
         yield f"{folder}: its patterns have hash {found.text}, but recipe {recipe.name} has {recipe.patterns}"
 
 
@@ -82,3 +90,14 @@ def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[
             yield f"{folder}: split {split} lacks {missing} of {len(wanted)} samples: run gcd generate again"
         if foreign := len(np.setdiff1d(stored, wanted)):
             yield f"{folder}: split {split} holds {foreign} samples of other splits: delete it, and make it again"
+
+
+def _sampled_faults(folder: Path, readers: Iterable[ShardReader], recipe: Recipe) -> Iterator[str]:
+    """Make the patterns of some designs again and compare them with the stored ones; one line for each difference."""
+    designs = np.unique(np.linspace(0, recipe.designs - 1, min(recipe.designs, SAMPLED)).astype(int)).tolist()
+    log.info("%s has no hash of all its patterns: %d designs are made again", recipe.name, len(designs))
+    made = dict(made_patterns(recipe, designs))
+    for reader in readers:
+        for index, pattern in stored_patterns(reader, of=made.keys()):
+            if not PatternHash.of([(index, made[index])]).agrees(PatternHash.of([(index, pattern)]).text):
+                yield f"{folder}: {pattern.name} has another pattern when made again: generate the data set anew"

@@ -1,7 +1,7 @@
 """Reads samples of a split by position, and checks them when they are first read."""
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -220,8 +220,8 @@ class ShardReader:
         self._checked, self._row = self._unchecked(), self._chosen()
 
 
-def stored_patterns(reader: ShardReader) -> Iterator[tuple[int, PatternTensor]]:
-    """Index and pattern of each sample in order.
+def stored_patterns(reader: ShardReader, of: Container[int] | None = None) -> Iterator[tuple[int, PatternTensor]]:
+    """Index and pattern of each sample in order; ``of``: indices to read, by default all.
 
     Raises ``ShardError`` naming shard and sample for a damaged sample, ``ConfigError`` for samples without patterns.
     """
@@ -229,8 +229,9 @@ def stored_patterns(reader: ShardReader) -> Iterator[tuple[int, PatternTensor]]:
         raise ConfigError(
             f"{reader.store.location()}: its samples have no {missing[0]}: give a data set with all fields"
         )
-    for first in range(0, len(reader), BATCH):
-        positions = range(len(reader))[first : first + BATCH]
+    wanted = [position for position in range(len(reader)) if of is None or reader.number(position) in of]
+    for first in range(0, len(wanted), BATCH):
+        positions = wanted[first : first + BATCH]
         for position, members in zip(positions, reader.read_many(positions, members_of(PATTERN_FIELDS)), strict=True):
             with reader.naming(position):
                 yield reader.number(position), stored_pattern(members)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gcd_dataset import generate_recipe
+from gcd_dataset import generate, generate_recipe
 from gcd_dataset.check.recipes import recipe_faults
 from gcd_dataset.cli import main
 from gcd_dataset.generator.recipes import Recipe, find_recipe
@@ -52,6 +52,19 @@ def test_other_patterns_are_reported(copy: Path, recipe: Recipe, tmp_path: Path)
     # The right patterns with a wrong hash in the manifest are reported too.
     manifest_with(copy, patterns="0" * 64)
     assert "manifest.json lists 0000" in next(recipe_faults(copy, recipe))
+
+
+def test_patterns_are_made_again_where_their_hash_is_not_known(tmp_path: Path) -> None:
+    """Ten patterns of another seed, with a manifest that names the recipe."""
+    other = find_recipe(written(tmp_path, TINY.replace("seed = 3", "seed = 4")))
+    same = written(tmp_path, TINY.replace("test = 0.2\ntrain = 0.8", "train = 1.0"))
+    asked, folder = find_recipe(same), tmp_path / "other"
+    generate(folder, 20, seed=4, config=other.config)
+    manifest_with(folder, seed=3, sha256=asked.sha256)
+    message = list(recipe_faults(folder, asked))
+    assert "no hash of the patterns yet" in message[0]
+    assert len(message) == 21
+    assert all("has another pattern when made again" in line for line in message[1:])
 
 
 def test_a_split_that_is_missing_or_another_is_reported(copy: Path, recipe: Recipe) -> None:

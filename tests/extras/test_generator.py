@@ -11,8 +11,8 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator import MakeConfig, produce
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.recipes import find_recipe
+from gcd_dataset.generator.recipes.hashing import made_patterns
 from gcd_dataset.patternhash import PatternHash
-from tools.recipe_hash import made_patterns
 
 SCRIPT = """
 from gcd_dataset.generator import MakeConfig, produce
@@ -30,7 +30,7 @@ def test_the_error_of_a_script_without_main_guard_names_the_remedy(tmp_path: Pat
 
 PROGRAM = """
 from gcd_dataset.generator.recipes import find_recipe
-from tools.recipe_hash import made_patterns
+from gcd_dataset.generator.recipes.hashing import made_patterns
 from gcd_dataset.patternhash import PatternHash
 print(PatternHash.of(made_patterns(find_recipe("smoke-64-draft"), range(2))).text)
 """
@@ -51,6 +51,6 @@ def test_a_failure_in_a_worker_is_raised_here() -> None:
 
 
 def test_the_smoke_set_has_the_cited_hash() -> None:
-    """After a change of the sampler, ``python -m tools.recipe_hash NAME`` prints the new hash."""
+    """After a change of the sampler, ``python -m gcd_dataset.generator.recipes.hashing NAME`` prints the new hash."""
     recipe = find_recipe("smoke-64-draft")
     assert PatternHash.of(made_patterns(recipe, range(recipe.designs))).agrees(recipe.patterns)

@@ -1,6 +1,6 @@
 """The patterns of a recipe, made without draping, and their hash. After a change of the sampler run
 
-    python -m tools.recipe_hash standard-1k-draft
+    python -m gcd_dataset.generator.recipes.hashing standard-1k-draft
 
 and write the printed hash into the recipe as ``patterns``. A core makes 15 patterns a second.
 """
