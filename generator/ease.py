@@ -9,7 +9,7 @@ Planes are level at the trunk, and normal to the axis of the limb at arms and le
 if no cloth goes round the right one. A skirt goes round both legs, in a level plane.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import astuple, replace
 
 import numpy as np
@@ -64,9 +64,9 @@ def ease_of(
 
 def _worn_girth(cut: "_Cloth", worn: "_Cloth", plane: Plane) -> float:
     """Girth as cut at the mean level of a section of the drape [cm]; that section's length where no cut goes round."""
-    if not (rings := worn.rings(plane)):
+    if (ring := next(worn.rings(plane), None)) is None:
         return np.nan
-    ring, upright = rings[0], replace(plane.as_cut, reach=())
+    upright = replace(plane.as_cut, reach=())
     lengths = _flat_lengths(ring)
     levels = (ring[:, :, 6:].mean(axis=1) - upright.centre) @ upright.normal
     girth = cut.girth(upright.moved(float(np.average(levels, weights=lengths))))
@@ -179,16 +179,21 @@ class _Cloth:
 
         Where a seam or the hem is within ``NEAR``, that of the side with less cloth: gathers are folded.
         """
-        by_panels = {frozenset(ring[:, 0, 5]): _flat_lengths(ring).sum() for ring in reversed(self.rings(plane))}
-        return float(min(by_panels.values(), default=np.nan))
+        by_panels = dict[frozenset[float], float]()
+        for ring in self.rings(plane):
+            by_panels.setdefault(frozenset(ring[:, 0, 5]), float(_flat_lengths(ring).sum()))
+        return min(by_panels.values(), default=np.nan)
 
-    def rings(self, plane: Plane) -> list[Float[np.ndarray, "s 2 9"]]:
+    def rings(self, plane: Plane) -> Iterator[Float[np.ndarray, "s 2 9"]]:
         """The rings in a plane, and ``NEAR`` above and below it; where there are none, those within its reach."""
         for away in (0.0, *plane.reach):
-            tried = (self.ring(plane.moved(away + by)) for by in (0.0, NEAR, -NEAR))
-            if found := [ring for ring in tried if ring is not None]:
-                return found
-        return []
+            ends = True
+            for by in (0.0, NEAR, -NEAR):
+                if (ring := self.ring(plane.moved(away + by))) is not None:
+                    yield ring
+                    ends = False
+            if not ends:
+                return
 
     def ring(self, plane: Plane) -> Float[np.ndarray, "s 2 9"] | None:
         """The shortest closed section round the plane's centre; ``None`` where there is none."""

@@ -126,8 +126,9 @@ class FlatCloth:
         share = np.bincount(corner.ravel(), np.repeat(areas / 3, 3))
         heat = _factors(diags_array(share) + HEATED * weighted @ along).solve(share * np.isin(self.vertices, top))
         value = np.log(np.maximum(heat, np.finfo(float).tiny))[corner]
-        sides, rises = self.uv[:, 1:] - self.uv[:, :1], value[:, 1:] - value[:, :1]
-        up = np.einsum("fij,fj->fi", np.linalg.pinv(sides), rises)
+        (u, v), (rise, last) = (self.uv[:, 1:] - self.uv[:, :1]).transpose(1, 2, 0), (value[:, 1:] - value[:, :1]).T
+        up = np.stack([rise * v[1] - last * u[1], last * u[0] - rise * v[0]], axis=1)
+        up *= np.sign(u[0] * v[1] - u[1] * v[0])[:, None]
         return up / np.maximum(np.linalg.norm(up, axis=1), np.finfo(float).tiny)[:, None]
 
     def _laplacian(
