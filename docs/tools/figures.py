@@ -219,6 +219,14 @@ FIGURES = (
         short=True,
     ),
     Figure(
+        "garments cut three sizes too small to three too large, with pictures, ease and maps, in shards",
+        "fits",
+        lambda r: (
+            f"{r.value('fits.garments_per_s'):.0f} a second; {100 * r.value('fits.right'):.1f} % settle or say how "
+            f"they do not fit; {100 * r.value('fits.clean'):.1f} % of those put on are free of crossings"
+        ),
+    ),
+    Figure(
         "fresh garments, draped at 1 cm, that a training loop receives",
         "fresh_garments",
         lambda r: (
