@@ -13,7 +13,7 @@ from gcd_dataset.generator.views import RenderedView, finished_view, requested_s
 from gcd_dataset.records import Drape, Maps
 
 PIXELS = 16 * 512**2  # pixels of one rendering: 8 garments in two views, 0.2 GB of hits
-LEAST_PIXELS = 2 * 512**2  # a garment counts as many where it asks for smaller pictures, or for maps alone
+MAPPED = 8  # garments whose maps are computed at once, without pictures
 MAX_IN_FLIGHT = 2  # renderings: one runs while the next is prepared
 
 
@@ -63,7 +63,9 @@ class PictureQueue:
 
     def _batch_size(self, pixels: int) -> int:
         """Garments of ``pixels`` each in one rendering; a CPU renders one at a time."""
-        return 1 if self._device == "cpu" else max(1, PIXELS // max(pixels, LEAST_PIXELS))
+        if self._device == "cpu":
+            return 1
+        return max(1, PIXELS // pixels) if pixels else MAPPED
 
     def _render(self) -> None:
         while len(self._in_flight) >= MAX_IN_FLIGHT:
