@@ -6,6 +6,7 @@ from jaxtyping import Bool, Float
 from gcd_dataset.generator.body.limbs import FRONT, Limb, along_arm, limbs_of
 from gcd_dataset.generator.body.section import unit
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
+from gcd_dataset.generator.dressing.sewing_start import on_side
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, Measurements, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
@@ -49,7 +50,7 @@ def placed_as_cut(
     found = placed[mesh.uv_vertex]
     for part in (BodyPart.RIGHT_ARM, BodyPart.LEFT_ARM):
         if arm := limbs_of(body).get(part):
-            own = on_sleeve & (np.sign(mesh.vertices[mesh.faces, 0].sum(axis=1)) == np.sign(arm.origin[0]))
+            own = on_side(mesh, roles == PanelRole.ARM, np.sign(arm.origin[0]))
             rows = np.unique(mesh.corners[own])
             found[rows] = _along(mesh, own, axes[own], arm)[mesh.uv_vertex[rows]]
     return found

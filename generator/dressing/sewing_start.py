@@ -63,13 +63,19 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     for arm, side in arms if bodice else ():
         _fit_between_arms(mesh, roles, arm, side, placed)
     for arm, side in arms if sleeves else ():
-        sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces, 0].sum(axis=1) > 0.0)
+        sleeve = on_side(mesh, roles == PanelRole.ARM, side)
         if not roll_round_limb(mesh, sleeve, arm, placed):
             put_on_limb(mesh, sleeve, arm, placed)
         _keep_beside_trunk(mesh, sleeve, arm, side, limbs[BodyPart.TRUNK], placed)
     if trousers.any():
         _put_on_legs(mesh, trousers, body, placed)
     return placed
+
+
+def on_side(mesh: BoxMesh, panels: Bool[np.ndarray, " p"], side: float) -> Bool[np.ndarray, " f"]:
+    """The faces of those panels that lie to the left (1) or to the right (-1); a panel may reach past the middle."""
+    x = np.bincount(mesh.panel_id, mesh.vertices[mesh.faces, 0].sum(axis=1), minlength=len(panels))
+    return (panels & (side * x > 0.0))[mesh.panel_id]
 
 
 def _keep_beside_trunk(
@@ -108,10 +114,8 @@ def _put_on_legs(mesh: BoxMesh, trousers: Bool[np.ndarray, " p"], body: Body, pl
 
     The crotch is the lowest point at which both trouser legs meet.
     """
-    x, y = (mesh.vertices[:, axis][mesh.faces].mean(axis=1) for axis in (0, 1))
-    faces = np.bincount(mesh.panel_id, minlength=len(trousers))
-    panel_x = np.bincount(mesh.panel_id, x, minlength=len(trousers)) / np.maximum(faces, 1)
-    sides = [(trousers & (side * panel_x > 0.0))[mesh.panel_id] for side in (1.0, -1.0)]
+    y = mesh.vertices[:, 1][mesh.faces].mean(axis=1)
+    sides = [on_side(mesh, trousers, side) for side in (1.0, -1.0)]
     left, right = np.zeros((2, len(mesh.vertices)), bool)
     left[mesh.faces[sides[0]]] = right[mesh.faces[sides[1]]] = True
     joined = left & right

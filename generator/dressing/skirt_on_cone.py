@@ -14,6 +14,7 @@ from gcd_dataset.generator.mesh.rows import distinct
 from gcd_dataset.records import BoxMesh, EdgeRole
 
 RISE = 5.0  # cm: a skirt that reaches further above its top starts on a cone
+CURL = 15.0  # cm: a panel whose top edge spans more height, as a ring of over half a turn, starts on a cone
 HALF_WIDTH = 60.0  # cm: a skirt that reaches further to a side of the middle starts on a cone
 SLOPE = 0.5  # cm of descent per cm of distance from a flat panel's top, at least: 60° from the vertical
 TOP_BAND = 2.0  # cm, distance from the nearest vertex of a panel within which vertices count as its top
@@ -65,7 +66,7 @@ class Skirt:
         """Whether the skirt or one of its panels reaches ``RISE`` above its top, or the skirt ``HALF_WIDTH`` to a side.
 
         The height of a panel is taken relative to cloth that descends from the panel's top at ``SLOPE``. This detects
-        rings sewn to a hem: their ends point up.
+        rings sewn to a hem: their ends point up. In a narrow ring the top's own ends do, see ``CURL``.
         """
         points = self.mesh.vertices[self.cloth.vertices]
         if points[:, 1].max() > self._level + RISE or np.abs(points[:, 0]).max() > HALF_WIDTH:
@@ -74,6 +75,8 @@ class Skirt:
         for panel in self._panels:
             own = distinct(self.cloth.faces[self._panel == panel], self.cloth.size)
             first = own[down[own] <= down[own].min() + TOP_BAND]
+            if np.ptp(height[first]) > CURL:
+                return True
             if (height[own] + SLOPE * (down[own] - down[own].min())).max() > height[first].max() + RISE:
                 return True
         return False

@@ -297,6 +297,27 @@ def test_cuffs_start_round_their_limbs(index: int, cuff: str) -> None:
     assert not {name: count for name, count in through.items() if name.startswith(cuff) and count}
 
 
+def test_narrow_rings_of_a_skirt_start_round_the_legs() -> None:
+    """Rings of over half a turn below a tube: the ends of their upper edge point up, within the thighs."""
+    design = prepare(51128464, 1402, MakeConfig(bodies="both", resolution=1.0, device="cpu"))
+    for wearer in design.dressed:
+        assert wearer.start is not None
+        assert wearer.coarse is not None
+        through = faces_through_limbs(wearer.coarse.mesh, wearer.start, wearer.body, DEPTH)
+        assert "skirt_back_4" in through
+        assert not any(through.values())
+
+
+def test_a_cuff_that_reaches_past_the_middle_starts_on_its_own_side() -> None:
+    wearer = prepare(51128464, 693, MakeConfig(bodies="both", resolution=2.0, device="cpu")).dressed[1]
+    assert wearer.start is not None
+    assert wearer.coarse is not None
+    mesh = wearer.coarse.mesh
+    cuff = mesh.faces[mesh.panel_id == mesh.panel_names.index("sl_right_cuff_skirt_b")]
+    assert mesh.vertices[cuff, 0].max() > 5.0
+    assert wearer.start[cuff, 0].max() < -10.0
+
+
 def test_trousers_with_a_narrow_cuff_end_before_the_foot() -> None:
     """The flare below the cuff is loose, but the cuff would not slip off the foot."""
     design = prepare(31415, 126, MakeConfig(bodies="both", resolution=2.0, device="cpu"))
