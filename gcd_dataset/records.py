@@ -515,6 +515,11 @@ class Maps(Record):
         return cls(np.stack([nothing, nothing], axis=1), nothing, nothing, 1.0)
 
     @property
+    def is_known(self) -> bool:
+        """Whether the drape was made and did not diverge."""
+        return bool(np.isfinite(self.gap).all())
+
+    @property
     def by_vertex(self) -> dict[str, Float[np.ndarray, "v *channels"]]:
         """The arrays by name."""
         return {"stretch": self.stretch, "gap": self.gap, "pressure": self.pressure}
