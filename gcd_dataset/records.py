@@ -273,7 +273,7 @@ class Seam:
     closure: Closure | str = Closure.SEWN
     """A word in a file that matches no closure stays a string."""
     closed: tuple[float, float] = (0.0, 1.0)
-    """The part that is joined, from and to, as shares of the length from the start of ``left``."""
+    """The part that is joined, from and to, as shares of the length from the start of ``left``; see ``joined``."""
 
     @property
     def joined(self) -> tuple[float, float]:
