@@ -273,7 +273,7 @@ class Seam:
     closure: Closure | str = Closure.SEWN
     """A word in a file that matches no closure stays a string."""
     closed: tuple[float, float] = (0.0, 1.0)
-    """The part that is joined, from and to, as shares of the length from the start of ``left``."""
+    """The part that is joined, from and to, as shares of the length from the start of ``left``; see ``joined``."""
 
     @property
     def joined(self) -> tuple[float, float]:
@@ -513,6 +513,11 @@ class Maps(Record):
         """All NaN, for a drape that diverged or was not made, of ``count`` vertices."""
         nothing = np.full(count, np.nan)
         return cls(np.stack([nothing, nothing], axis=1), nothing, nothing, 1.0)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the drape was made and did not diverge."""
+        return bool(np.isfinite(self.gap).all())
 
     @property
     def by_vertex(self) -> dict[str, Float[np.ndarray, "v *channels"]]:

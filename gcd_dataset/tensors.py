@@ -147,7 +147,8 @@ class ClosureColumn(IntEnum):
     KIND = 0
     """Row of ``CLOSURES``."""
     START = 1
-    """Joined part of the seam, from and to, as shares of the length from the start of the left edge."""
+    """Joined part of the seam, from and to, as shares of the length from the start of the left edge; of an open seam
+    nothing is joined, whatever these numbers are."""
     END = 2
 
 

@@ -5,8 +5,8 @@
 The garments are those of the recipe ``fits-draft``, with pictures, maps and ease, written to a temporary folder.
 ``right``: the share that settled, or whose outcome says how it does not fit: slid off or cannot be put on, being cut
 too large or labelled so; overstretched or cannot be put on, being cut too small or labelled so. ``clean``: the share of
-those put on that settled without a crossing edge of any kind. ``recipe_hours`` and ``recipe_kj`` are those of the whole
-recipe at this rate, computed. ``--sheet`` shows designs on one wearer each, cut for three sizes less to three more.
+those put on that settled without a crossing edge of any kind. ``recipe_hours`` and ``recipe_kwh`` are of the
+whole recipe at this rate, computed. ``--sheet``: designs on one wearer each, cut for three sizes less to three more.
 """
 
 import argparse

@@ -443,7 +443,7 @@ def _front(garment: Sample | Pattern, size: int, *, maps: bool = False) -> UInt8
     mesh, drape, body = garment.box_mesh, garment.drape, body_of(garment)
     if mesh is None or drape is None or body is None or not np.isfinite(drape.vertices).all():
         return draw_pattern(garment.pattern, size=size)
-    if maps:
+    if maps and garment.maps is not None and garment.maps.is_known:
         half = size // 2
         return contact_sheet([_front(garment, half), *map_pictures(garment, size=half)], columns=2, gap=0)
     from gcd_dataset.generator.render import render_garment

@@ -62,13 +62,16 @@ def require_maps(has_maps: bool, source: str) -> None:
 def map_pictures(sample: Sample, *, size: int, sides: Sequence[str] = ("front",)) -> list[UInt8[np.ndarray, "h w 3"]]:
     """For each side, square pictures of a draped sample in the colours of each of ``SCALES``.
 
-    Raises ``ConfigError`` for a sample without maps, on a body of another model, or with a drape that diverged.
+    Raises ``ConfigError`` for a sample without maps, on a body of another model, or whose drape diverged or was not
+    made.
     """
     from gcd_dataset.generator.render import render, scene_of_sample
     from gcd_dataset.generator.render.pictures import VERTEX_MAPS
     from gcd_dataset.generator.render.plain import plain_view
 
     require_maps(sample.maps is not None, sample.key)
+    if sample.maps is not None and sample.drape is not None and not sample.maps.is_known:
+        raise ConfigError(f"{sample.key} has no maps: {sample.drape.outcome.value}")
     if (body := body_of(sample)) is None:
         raise ConfigError(f"{sample.key} is on a body of another model: show it with --html")
     scene = scene_of_sample(sample, body)

@@ -18,7 +18,9 @@ from gcd_dataset.tensors import PatternTensor, encode_pattern
 def made_patterns(recipe: Recipe, designs: Iterable[int]) -> Iterator[tuple[int, PatternTensor]]:
     """Index and pattern of all samples of the given designs. Raises ``PatternError`` as ``produce`` does."""
     # Up to the mesh: a design that cannot be meshed is rejected, and the next attempt has another pattern.
-    config = replace(recipe.config, stage="mesh") if recipe.config.stage == "drape" else recipe.config
+    config = recipe.config
+    if config.stage == "drape":
+        config = replace(config, stage="mesh", maps=False, views=0)
     for number in designs:
         for wearer in prepare(recipe.seed, number, config).dressed:
             yield wearer.index, encode_pattern(wearer.pattern)

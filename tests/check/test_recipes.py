@@ -10,6 +10,8 @@ from gcd_dataset import generate, generate_recipe
 from gcd_dataset.check.recipes import recipe_faults
 from gcd_dataset.cli import main
 from gcd_dataset.generator.recipes import Recipe, find_recipe
+from gcd_dataset.generator.recipes.hashing import made_patterns
+from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards import read_manifest
 from gcd_dataset.shards.manifest import RecipeRecord
 from tests.generator.test_recipes import TINY, written
@@ -65,6 +67,14 @@ def test_patterns_are_made_again_where_their_hash_is_not_known(tmp_path: Path) -
     assert "no hash of the patterns yet" in message[0]
     assert len(message) == 21
     assert all("has another pattern when made again" in line for line in message[1:])
+
+
+def test_patterns_of_a_recipe_with_maps_and_views_are_made_without_draping(tmp_path: Path) -> None:
+    plain, rich = (
+        find_recipe(written(tmp_path, TINY.replace('stage = "pattern"', "resolution = 6.0" + more)))
+        for more in ("", "\nmaps = true\nviews = 1")
+    )
+    assert PatternHash.of(made_patterns(rich, [0])).text == PatternHash.of(made_patterns(plain, [0])).text
 
 
 def test_a_split_that_is_missing_or_another_is_reported(copy: Path, recipe: Recipe) -> None:

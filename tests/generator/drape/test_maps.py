@@ -105,11 +105,12 @@ def test_gaps_are_distances_from_the_skin() -> None:
     body = build_body(neutral_shape())
     trunk = np.flatnonzero(body.parts == BodyPart.TRUNK.value)[::50]
     inside = body.vertices[trunk].mean(axis=0)
-    points = np.array([[0.0, 300.0, 0.0], inside, [50.0, 300.0, 0.0]])
+    points = np.array([[0.0, 300.0, 0.0], inside, [50.0, 3000.0, 0.0]])
     mesh = BoxMesh(
         **{**vars(tube(1.0)[0]), "vertices": points, "faces": np.array([[0, 1, 2]]), "corners": np.array([[0, 1, 2]])}
     )
-    out, within, _ = maps_of(DrapeJob(mesh, body, measure(body)), Drape(points, *SETTLED)).gap
+    out, within, far = maps_of(DrapeJob(mesh, body, measure(body)), Drape(points, *SETTLED)).gap
+    assert far == pytest.approx(3000.0 - body.vertices[:, 1].max(), abs=1.0)
     assert out == pytest.approx(300.0 - body.vertices[:, 1].max(), abs=0.2)
     assert within < -3.0
 
