@@ -339,8 +339,8 @@ class Lane:
                 if status[w] != DIVERGED:
                     start = CoarseEnd.of(
                         ended.coarse,
-                        state.x[vertices[w]],
-                        state.v[vertices[w]],
+                        state,
+                        vertices[w],
                         time=float(time[w]),
                         held=int(held[w]),
                         overfull=int(overfull[w]),

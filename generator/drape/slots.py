@@ -11,12 +11,12 @@ from typing import Self
 import numpy as np
 import warp as wp
 
-from gcd_dataset.generator.device import to_host
+from gcd_dataset.generator.device import launch_lock, to_host
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.kernels import place as kernels
 from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, Placement, VertexState
 from gcd_dataset.generator.drape.kernels.world import DONE
-from gcd_dataset.generator.drape.model import ClothModel, empty_model
+from gcd_dataset.generator.drape.model import ClothModel, ClothState, empty_model
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drape.topology import WARP
 from gcd_dataset.generator.mesh import CoarseMesh
@@ -47,11 +47,13 @@ class CoarseEnd:
     """1 where a contact list was full: which contacts were dropped is not deterministic, nor is the drape."""
 
     @classmethod
-    def of(cls, mesh: CoarseMesh, x: wp.array, v: wp.array, *, time: float, held: int, overfull: int) -> Self:
-        """The end of a drape of ``mesh`` at positions ``x`` [cm] and velocities ``v`` [cm/s]."""
-        corners = wp.array(mesh.corners.astype(np.int32), dtype=wp.vec3i, device=x.device)
-        weights = wp.array(mesh.weights.astype(np.float32), dtype=wp.vec3, device=x.device)
-        return cls(corners, weights, wp.clone(x), wp.clone(v), time, held, overfull)
+    def of(cls, mesh: CoarseMesh, state: ClothState, at: slice, *, time: float, held: int, overfull: int) -> Self:
+        """The end of a drape of ``mesh``, whose vertices are the rows ``at`` of a batch's state."""
+        with launch_lock:
+            x, v = wp.clone(state.x[at]), wp.clone(state.v[at])
+            corners = wp.array(mesh.corners.astype(np.int32), dtype=wp.vec3i, device=x.device)
+            weights = wp.array(mesh.weights.astype(np.float32), dtype=wp.vec3, device=x.device)
+        return cls(corners, weights, x, v, time, held, overfull)
 
 
 def room_for(mesh: BoxMesh) -> int:
@@ -132,13 +134,14 @@ class Slots:
         for first, size in places.tolist():
             self._give_back(first, size)
         self._rows["size"][list(worlds)] = 0
-        model.worlds.assign(self._rows)
         for w in worlds:
             model.bodies[w] = None
             model.vertices[w] = model.edges[w] = model.faces[w] = slice(0, 0)
         threads = 1 if model.device == "cpu" else THREADS
-        inputs = [wp.array(places, dtype=wp.vec2i, device=model.device), threads, self._empty_world]
-        self._launch(kernels.clear_places, (len(places), threads), inputs, [model.cloth, model.face_world])
+        with launch_lock:
+            model.worlds.assign(self._rows)
+            inputs = [wp.array(places, dtype=wp.vec2i, device=model.device), threads, self._empty_world]
+            self._launch(kernels.clear_places, (len(places), threads), inputs, [model.cloth, model.face_world])
         self.solver.rebuild_bvh_next()
 
     def _take(self, size: int) -> tuple[int, int] | None:

@@ -2,7 +2,7 @@
 
 import gc
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
@@ -261,11 +261,29 @@ def test_an_overfull_contact_list_of_the_coarse_pass_is_reported() -> None:
     job, config = on_a_ball(9), DrapeConfig()
     coarse = coarsen(job.box_mesh)
     first = Solver(build_model([replace(job, box_mesh=coarse.mesh)], config, "cpu", coarse=[0]), config)
-    end = CoarseEnd.of(coarse, first.state.x, first.state.v, time=0.0, held=1, overfull=1)
+    end = CoarseEnd.of(coarse, first.state, first.model.vertices[0], time=0.0, held=1, overfull=1)
     slots = Slots(room_for(job.box_mesh), 1, config, "cpu")
     assert slots.place(build_model([job], config, "cpu"), [end]) == [0]
     [drape] = waited(collect(slots.solver, [job], [0]))
     assert drape.outcome is Outcome.OVERFULL
+
+
+def test_no_work_for_a_garment_is_recorded_in_the_graph_of_another() -> None:
+    """On a CPU each garment has a thread, and Warp records the launches of all threads while one captures."""
+    job, config = on_a_ball(9), DrapeConfig()
+    slots = Slots(room_for(job.box_mesh), 1, config, "cpu")
+    slots.place(build_model([job], config, "cpu"), [None])
+    coarse, state, at = coarsen(job.box_mesh), slots.solver.state, slots.solver.model.vertices[0]
+    positions = state.x.numpy()[at].copy()
+    with ThreadPoolExecutor(2) as pool:
+        with launch_lock, wp.ScopedCapture(device="cpu"):
+            end = pool.submit(CoarseEnd.of, coarse, state, at, time=0.0, held=1, overfull=0)
+            freed = pool.submit(slots.free, [0])
+            assert not wait((end,), timeout=0.5).done
+            assert not wait((freed,), timeout=0.5).done
+        assert np.array_equal(end.result().x.numpy(), positions)
+        freed.result()
+    assert slots.solver.model.worlds.numpy()["size"][0] == 0
 
 
 def test_garments_enter_and_leave_a_batch_without_a_change_for_others() -> None:
