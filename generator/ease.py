@@ -187,12 +187,11 @@ class _Cloth:
     def rings(self, plane: Plane) -> Iterator[Float[np.ndarray, "s 2 9"]]:
         """The rings in a plane, and ``NEAR`` above and below it; where there are none, those within its reach."""
         for away in (0.0, *plane.reach):
-            ends = True
-            for by in (0.0, NEAR, -NEAR):
-                if (ring := self.ring(plane.moved(away + by))) is not None:
-                    yield ring
-                    ends = False
-            if not ends:
+            tried = (self.ring(plane.moved(away + by)) for by in (0.0, NEAR, -NEAR))
+            found = (ring for ring in tried if ring is not None)
+            if (first := next(found, None)) is not None:
+                yield first
+                yield from found
                 return
 
     def ring(self, plane: Plane) -> Float[np.ndarray, "s 2 9"] | None:

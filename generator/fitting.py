@@ -241,9 +241,9 @@ def _work(
 
     def finish(replies: Sequence[DrapeReply]) -> Fitting:
         [reply] = replies
-        ease = ease_of(dressing.pattern, mesh, body, size, reply.drape.vertices)
-        drape, maps_found = reply.drape, reply.maps
-        return Fitting(dressing.pattern, body, dressing.assumed, mesh, drape, ease, seconds, reply.seconds, maps_found)
+        drape = reply.drape
+        ease = ease_of(dressing.pattern, mesh, body, size, drape.vertices)
+        return Fitting(dressing.pattern, body, dressing.assumed, mesh, drape, ease, seconds, reply.seconds, reply.maps)
 
     return DrapeWork([job], finish, maps=maps)
 

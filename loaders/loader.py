@@ -354,7 +354,7 @@ class StreamMaker(BatchMaker):
             self._items, self._next = iter(stream.begin_at(position)), position
 
     def read(self, step: Step) -> list[Any]:
-        """The items at the positions of a step; those of other ranks are passed over."""
+        """The items at the positions of a step. Skips the items of other ranks."""
         items = []
         with isolated_rng() as random_state:
             for position in step.indices:

@@ -30,7 +30,7 @@ from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.recipes import find_recipe
 from gcd_dataset.generator.render import render_garment
-from gcd_dataset.generator.sized import Cut, lifted
+from gcd_dataset.generator.sized import lifted
 from gcd_dataset.records import Outcome
 
 TILE = 256  # side of a garment's picture on the sheet [pixels]
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> CaseResult:
     config = replace(recipe.config, device=options.device, resolution=options.resolution, fabric=options.fabric)
     by_step: defaultdict[int, Counter[str]] = defaultdict(Counter)
 
-    def note(meta: dict[str, Any], _: Mapping[str, bytes]) -> None:
+    def note(meta: dict[str, Any]) -> None:
         outcome, step = meta["drape"]["outcome"], meta["fit"]["step"]
         crossings = sum(meta["drape"][name] for name in ("self_crossings", "body_crossings", "body_through"))
         settled = outcome == Outcome.SETTLED.name
@@ -111,15 +111,13 @@ def _in_all_sizes(seed: int, number: int, config: MakeConfig) -> list[np.ndarray
     place = sizes.index(own)
     if place + least < 0 or place + most >= len(sizes):
         return []
-    cuts = [Cut(chart, size, own) for size in sizes[place + least : place + most + 1]]
+    cut_for = [chart.body(size) for size in sizes[place + least : place + most + 1]]
     try:
-        drawn = [build_pattern(cut.measures, made.design) for cut in cuts]
+        patterns = [
+            lifted(build_pattern(size, made.design), made.design, cut_for=size, wearer=first.size) for size in cut_for
+        ]
     except PatternError:
         return []
-    patterns = [
-        lifted(pattern, made.design, cut_for=cut.measures, wearer=first.size)
-        for cut, pattern in zip(cuts, drawn, strict=True)
-    ]
     draped = drape_patterns(
         patterns, lambda _: (first.body, first.size), resolution=config.resolution, device=config.device
     )

@@ -19,7 +19,7 @@ import subprocess
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from itertools import cycle, islice
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> CaseResult:
     )
     devices = devices_of(config)
     outcomes: Counter[str] = Counter()
-    figures = written(config, options, lambda meta, _: outcomes.update([meta["drape"]["outcome"]]))
+    figures = written(config, options, lambda meta: outcomes.update([meta["drape"]["outcome"]]))
     rate = figures[0].value
     figures.append(Figure("unsettled", 1 - outcomes[Outcome.SETTLED.name] / options.count, "of the garments"))
     if device_kind(config) == "cuda" and options.seconds:
@@ -81,12 +81,10 @@ def run(options: argparse.Namespace) -> CaseResult:
     )
 
 
-def written(
-    config: MakeConfig, options: argparse.Namespace, note: Callable[[dict[str, Any], Mapping[str, bytes]], None]
-) -> list[Figure]:
-    """Write ``options.count`` garments of a seed to shards; garments per second from the first to the last, GPU's load.
+def written(config: MakeConfig, options: argparse.Namespace, note: Callable[[dict[str, Any]], None]) -> list[Figure]:
+    """Write ``options.count`` garments to shards; the rate from the first to the last, and the GPU's load meanwhile.
 
-    ``note`` is called with the metadata and the members of each garment.
+    ``note`` is called with the metadata of each garment.
     """
     begun, load, devices = 0.0, GpuLoad(), devices_of(config)
     with (
@@ -99,7 +97,7 @@ def written(
             writer.add(index, members)
             if not begun:
                 begun, load = time.perf_counter(), measured.enter_context(gpu_load(devices[0]))
-            note(json.loads(members["meta.json"]), members)
+            note(json.loads(members["meta.json"]))
         rate = (options.count - 1) / (time.perf_counter() - begun)
     figures = [Figure("garments_per_s", rate, "garments")]
     if load.watts:

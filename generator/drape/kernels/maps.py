@@ -9,7 +9,7 @@ from gcd_dataset.generator.drape.kernels.topology import ClothSurface
 wp.set_module_options({"enable_backward": False})
 
 FURTHEST = wp.constant(1.0e6)  # cm
-TOUCHING = 1.0e-4  # cm: nearer to the skin the direction to it is that of the face's normal
+TOUCHING = 1.0e-4  # cm: below this distance the normal of the nearest face replaces the direction to the skin
 THIN = 2.0e-6  # cm²: a face with a smaller doubled flat area has no defined stretch
 TINY = 1.0e-12
 KPA = 1.0e-4  # one g/(cm s²)
