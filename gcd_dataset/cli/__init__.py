@@ -21,9 +21,14 @@ from gcd_dataset.files import discard_stdout, user_path
 __all__ = ["main"]
 
 
-@interrupts_after_imports()
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run ``gcd`` with ``arguments`` and return its exit code."""
+    """Run ``gcd`` with ``arguments`` (default: those of this process) and return its exit code."""
+    with interrupts_after_imports(process_ends=arguments is None):
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    """The exit code of ``gcd`` with ``arguments``."""
     name = "gcd"
     try:
         logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)

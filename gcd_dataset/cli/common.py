@@ -178,12 +178,13 @@ def natural_number(text: str) -> int:
 
 
 @contextlib.contextmanager
-def interrupts_after_imports() -> Iterator[None]:
+def interrupts_after_imports(process_ends: bool = False) -> Iterator[None]:
     """Raise ``Stopped`` for Ctrl-C and SIGTERM, but not during an import, where trimesh would take it for a missing
     package, nor where it would leave a draft behind.
 
-    A further SIGTERM is ignored, since ``timeout`` and Slurm send two. Does nothing outside the main thread, and leaves
-    signals for which Python's usual handler is not installed.
+    A further SIGTERM is ignored, since ``timeout`` and Slurm send two: until the end, or, where the process ends after
+    it, for good. Does nothing outside the main thread, and leaves signals for which Python's usual handler is not
+    installed.
     """
     is_main = threading.current_thread() is threading.main_thread()
     taken = [number for number, usual in USUAL.items() if is_main and signal.getsignal(number) == usual]
@@ -210,7 +211,8 @@ def interrupts_after_imports() -> Iterator[None]:
         for timer in later.values():
             timer.cancel()
         for number in taken:
-            signal.signal(number, USUAL[number])
+            if not process_ends or signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, USUAL[number])
 
 
 def _must_wait(frame: FrameType | None) -> bool:

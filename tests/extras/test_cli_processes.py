@@ -23,13 +23,15 @@ FLAT = ["--stage", "pattern", "--quiet"]
 
 
 def test_a_signal_keeps_finished_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """``timeout`` sends SIGTERM to the process and to its group."""
+    """``timeout`` sends SIGTERM to the process and to its group; the second may come late."""
     command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path), "--count", "100000", *FLAT]
     process = subprocess.Popen([*command, "--workers", "2"], stderr=subprocess.PIPE, text=True, start_new_session=True)
     wait_for_samples(tmp_path, 3, process)
     os.killpg(process.pid, signal.SIGTERM)
+    assert process.stderr is not None
+    said = process.stderr.readline()
     process.send_signal(signal.SIGTERM)
-    _, said = process.communicate(timeout=60)
+    said += process.communicate(timeout=60)[1]
     assert process.returncode == 143, said
     assert "the same command continues from there" in one_line(said)
     wait_for_end_of(process.pid)
