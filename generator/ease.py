@@ -3,7 +3,8 @@
 A figure of cloth is the length of a section with a plane, measured in the panels' planes: each crossed triangle
 contributes the length of the cut in ``BoxMesh.uv``, so neither stretch nor folds count. As cut, the plane cuts the
 panels where the pattern has them, see ``placed_as_cut``. A section of a drape rises and falls in its folds, so it is
-longer than the cloth is wide. As worn, therefore, the girth is that as cut at the mean level of the drape's section.
+longer than the cloth is wide. As worn, therefore, a panel counts by the way across it, with the net rise over it:
+folds rise and fall again, a tilted section does not.
 
 Planes are level at the trunk, and normal to the axis of the limb at arms and legs: of the right one, or of the left one
 if no cloth goes round the right one. A skirt goes round both legs, in a level plane.
@@ -18,6 +19,7 @@ from jaxtyping import Float
 from gcd_dataset.generator.body.limbs import FRONT, UP, along_arm, leg_of, limbs_of
 from gcd_dataset.generator.body.section import Plane, Skin, loops, section, skin_of, unit
 from gcd_dataset.generator.dressing.as_cut import placed_as_cut
+from gcd_dataset.generator.dressing.flat_cloth import uphill
 from gcd_dataset.generator.garments.rules import NECKLINE, neckline_girth
 from gcd_dataset.records import EASE, Body, BodyPart, BoxMesh, Ease, Measurements, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
@@ -44,13 +46,13 @@ def ease_of(
 
     ``body`` is the body that the garment is draped on, ``size`` its measures with the legs together.
     """
-    planes, found = _planes(body, size), dict[str, Ease]()
-    cut = _Cloth(mesh, placed_as_cut(mesh, pattern, body, size, waist=float(planes["waist"][0].centre[1])))
-    is_worn = vertices is not None and np.isfinite(vertices).all()
-    worn = _Cloth(mesh, np.asarray(vertices, float)[mesh.uv_vertex], cut.corners) if is_worn else None
+    planes, found = planes_of(body, size), dict[str, Ease]()
+    as_cut = placed_as_cut(mesh, pattern, body, size, waist=float(planes["waist"][0].centre[1]))
+    cut, is_worn = _Cloth(mesh, as_cut, as_cut), vertices is not None and np.isfinite(vertices).all()
+    worn = _Cloth(mesh, np.asarray(vertices, float)[mesh.uv_vertex], as_cut) if is_worn else None
     for name, tried in planes.items():
         for plane in tried:
-            own = Ease(cut.girth(plane.as_cut), plane.girth(), _worn_girth(cut, worn, plane) if worn else np.nan)
+            own = Ease(cut.girth(plane.as_cut), plane.girth(), worn.girth(plane) if worn else np.nan)
             found.setdefault(name, own)
             if np.isfinite([own.cloth, own.worn]).any():
                 found[name] = own
@@ -60,17 +62,6 @@ def ease_of(
     found |= _lengths(cut, planes, mesh, size)
     figures = {name: astuple(found.get(name, Ease())) for name in EASE}
     return {name: Ease(*(round(float(length), DECIMALS) for length in lengths)) for name, lengths in figures.items()}
-
-
-def _worn_girth(cut: "_Cloth", worn: "_Cloth", plane: Plane) -> float:
-    """Girth as cut at the mean level of a section of the drape [cm]; that section's length where no cut goes round."""
-    if (ring := next(worn.rings(plane), None)) is None:
-        return np.nan
-    upright = replace(plane.as_cut, reach=())
-    lengths = _flat_lengths(ring)
-    levels = (ring[:, :, 6:].mean(axis=1) - upright.centre) @ upright.normal
-    girth = cut.girth(upright.moved(float(np.average(levels, weights=lengths))))
-    return girth if np.isfinite(girth) else float(lengths.sum())
 
 
 def _lengths(cut: "_Cloth", planes: Mapping[str, list[Plane]], mesh: BoxMesh, size: Measurements) -> dict[str, Ease]:
@@ -107,7 +98,7 @@ def _lengths(cut: "_Cloth", planes: Mapping[str, list[Plane]], mesh: BoxMesh, si
 # -------------------------------------------------------------------------------------------------------------- planes
 
 
-def _planes(body: Body, size: Measurements) -> dict[str, list[Plane]]:
+def planes_of(body: Body, size: Measurements) -> dict[str, list[Plane]]:
     """The planes of each girth, in the order in which they are tried."""
     limbs = limbs_of(body)
     trunk, whole = limbs[BodyPart.TRUNK], skin_of(body, BodyPart.TRUNK, *LEGS)
@@ -156,22 +147,21 @@ def _nearest(planes: list[Plane], wanted: float) -> Plane:
 class _Cloth:
     """A garment's mesh with a position of each row of ``uv`` [cm], cut or worn, and its position as cut."""
 
-    def __init__(
-        self, mesh: BoxMesh, corners: Float[np.ndarray, "c 3"], as_cut: Float[np.ndarray, "c 3"] | None = None
-    ) -> None:
+    def __init__(self, mesh: BoxMesh, corners: Float[np.ndarray, "c 3"], as_cut: Float[np.ndarray, "c 3"]) -> None:
         sleeves = np.array([label == PanelRole.ARM for label in mesh.panel_labels])[mesh.panel_id]
-        self._faces = {on_arms: mesh.corners[sleeves == on_arms] for on_arms in (False, True)}
-        self.corners = corners
-        self._columns = np.column_stack([mesh.uv, mesh.panel_of_row, corners if as_cut is None else as_cut])
+        self._faces = {on_arms: np.flatnonzero(sleeves == on_arms) for on_arms in (False, True)}
+        self._mesh, self._corners, self._as_cut = mesh, corners, as_cut
 
-    def section(self, plane: Plane) -> Float[np.ndarray, "s 2 9"]:
-        """The section with a plane: segments with their places in its frame, in the panel, the panel and the cut."""
-        faces, height = self._faces[plane.on_arm], self.corners @ plane.normal - plane.centre @ plane.normal
-        first, second, third = (height > 0.0)[faces].T
-        rows = faces[(first != second) | (first != third)].ravel()
-        in_frame = (self.corners[rows] - plane.centre) @ plane.frame
+    def section(self, plane: Plane) -> Float[np.ndarray, "s 2 6"]:
+        """The section with a plane: segments with their places in its frame, in the panel, and their face."""
+        faces, height = self._faces[plane.on_arm], self._corners @ plane.normal - plane.centre @ plane.normal
+        corners = self._mesh.corners[faces]
+        first, second, third = (height > 0.0)[corners].T
+        crossed = (first != second) | (first != third)
+        rows = corners[crossed].ravel()
+        in_frame = (self._corners[rows] - plane.centre) @ plane.frame
         in_frame[:, 0] = height[rows]
-        columns = np.concatenate([in_frame, self._columns[rows]], axis=1)
+        columns = np.column_stack([in_frame, self._mesh.uv[rows], np.repeat(faces[crossed], 3)])
         return section(columns, np.arange(len(rows)).reshape(-1, 3), 0, 0.0)
 
     def girth(self, plane: Plane) -> float:
@@ -179,12 +169,18 @@ class _Cloth:
 
         Where a seam or the hem is within ``NEAR``, that of the side with less cloth: gathers are folded.
         """
-        by_panels = dict[frozenset[float], float]()
+        by_panels = dict[frozenset[int], float]()
         for ring in self.rings(plane):
-            by_panels.setdefault(frozenset(ring[:, 0, 5]), float(_flat_lengths(ring).sum()))
+            face = ring[:, 0, 5].astype(int)
+            panel, corners, step = self._mesh.panel_id[face], self._mesh.corners[face], ring[:, 1, 3:5] - ring[:, 0, 3:5]
+            up = uphill(self._mesh.uv[corners], self._as_cut[corners] @ plane.as_cut.normal)
+            across = np.bincount(panel, step[:, 0] * up[:, 1] - step[:, 1] * up[:, 0])
+            by_panels.setdefault(
+                frozenset(panel), float(np.hypot(across, np.bincount(panel, (step * up).sum(axis=1))).sum())
+            )
         return min(by_panels.values(), default=np.nan)
 
-    def rings(self, plane: Plane) -> Iterator[Float[np.ndarray, "s 2 9"]]:
+    def rings(self, plane: Plane) -> Iterator[Float[np.ndarray, "s 2 6"]]:
         """The rings in a plane, and ``NEAR`` above and below it; where there are none, those within its reach."""
         for away in (0.0, *plane.reach):
             tried = (self.ring(plane.moved(away + by)) for by in (0.0, NEAR, -NEAR))
@@ -194,7 +190,7 @@ class _Cloth:
                 yield from found
                 return
 
-    def ring(self, plane: Plane) -> Float[np.ndarray, "s 2 9"] | None:
+    def ring(self, plane: Plane) -> Float[np.ndarray, "s 2 6"] | None:
         """The shortest closed section round the plane's centre; ``None`` where there is none."""
         cut = self.section(plane)
         if not len(cut):
@@ -208,11 +204,11 @@ class _Cloth:
         return cut[loop == np.where(around, np.bincount(loop, _flat_lengths(cut)), np.inf).argmin()]
 
 
-def _angles(cut: Float[np.ndarray, "s 2 9"], centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, " s"]:
+def _angles(cut: Float[np.ndarray, "s 2 6"], centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, " s"]:
     """The angle over which a point in the plane sees each segment, signed [rad]."""
     (x0, y0), (x1, y1) = (cut[:, end, 1:3].T - centre[:, None] for end in (0, 1))
     return np.arctan2(x0 * y1 - y0 * x1, x0 * x1 + y0 * y1)
 
 
-def _flat_lengths(cut: Float[np.ndarray, "s 2 9"]) -> Float[np.ndarray, " s"]:
+def _flat_lengths(cut: Float[np.ndarray, "s 2 6"]) -> Float[np.ndarray, " s"]:
     return np.linalg.norm(cut[:, 1, 3:5] - cut[:, 0, 3:5], axis=1)

@@ -6,8 +6,8 @@ from jaxtyping import Bool, Float
 from gcd_dataset.generator.body.limbs import FRONT, Limb, along_arm, limbs_of
 from gcd_dataset.generator.body.section import unit
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
+from gcd_dataset.generator.dressing.frame import WAISTBANDS
 from gcd_dataset.generator.dressing.sewing_start import on_side
-from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, Measurements, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
 
@@ -21,7 +21,7 @@ def placed_as_cut(
     """Each row of ``mesh.uv`` round the body, at its height, or place along the arm, in the pattern [cm].
 
     Gaps between panels close, and so do darts: the height is that of the sewn cloth with a gradient nearest to the
-    panels' upward direction, or in skirts to the direction towards their upper edge. Uppers are drawn down from the
+    panels' upward direction, or in waistbands and skirts to the direction towards the upper edge. Uppers are drawn down from the
     outer end of the shoulder seam; from there to the ``waist`` [cm above the floor], cloth is as long as the way over
     the bust or down the back, and longer than the difference in height. Sleeves begin at the shoulder and lie along the
     arm.
@@ -41,8 +41,9 @@ def placed_as_cut(
         start, rise = waist + shrink * left, rise * shrink[mesh.faces].mean(axis=1)[:, None]
         held = (left > 0.0) & np.isin(every, mesh.faces[(roles == PanelRole.BODY)[mesh.panel_id]])
     skirts = (roles == PanelRole.LEG) & ~np.array(list(map(is_trouser_leg, mesh.panel_names)))
-    if skirt := Skirt.of(mesh, skirts):
-        rise[skirts[mesh.panel_id]] = skirt.cloth.towards(skirt.top)
+    hung = (skirts | [any(word in name for word in WAISTBANDS) for name in mesh.panel_names])[mesh.panel_id]
+    if len(top := mesh.labels.get(EdgeRole.LOWER_INTERFACE, ())) and hung.any():
+        rise[hung] = FlatCloth.of(mesh, hung).towards(top)
     held &= np.isin(every, trunk.vertices)
     if len(trunk.vertices):
         height = trunk.integrated(rise[~on_sleeve], start)

@@ -16,6 +16,7 @@ from gcd_dataset.records import BoxMesh
 
 WEAK = 1e-9  # weight of the values of ``integrated``, beside 1 for each side
 HEATED = 8.0  # cm²: how far heat spreads in ``towards``: a few centimetres, a small part of a skirt
+HELD = 1e6  # cm²: weight that holds the temperature, beside areas of a few cm²
 LEAST_WEIGHT = 0.01  # lower limit of cotangent weights: positive weights give the maximum principle
 
 
@@ -119,17 +120,14 @@ class FlatCloth:
     def towards(self, top: Int[np.ndarray, " t"]) -> Float[np.ndarray, "f 2"]:
         """Unit vectors in the faces' planes along the shortest ways to the ``top`` vertices.
 
-        They run up the heat that flows from there: Crane, Weischedel and Wardetzky, ACM Trans. Graph. 32(5), 2013.
+        They run up the heat that flows from there: Crane, Weischedel and Wardetzky, ACM Trans. Graph. 32(5), 2013. The
+        ``top`` is held at one temperature: the ways at its edge are at right angles to it.
         """
         (along, weighted), areas = self._differences, np.abs(flat_areas(self.uv))
         corner = np.searchsorted(self.vertices, self.faces)
-        share = np.bincount(corner.ravel(), np.repeat(areas / 3, 3))
-        heat = _factors(diags_array(share) + HEATED * weighted @ along).solve(share * np.isin(self.vertices, top))
-        value = np.log(np.maximum(heat, np.finfo(float).tiny))[corner]
-        (u, v), (rise, last) = (self.uv[:, 1:] - self.uv[:, :1]).transpose(1, 2, 0), (value[:, 1:] - value[:, :1]).T
-        up = np.stack([rise * v[1] - last * u[1], last * u[0] - rise * v[0]], axis=1)
-        up *= np.sign(u[0] * v[1] - u[1] * v[0])[:, None]
-        return up / np.maximum(np.linalg.norm(up, axis=1), np.finfo(float).tiny)[:, None]
+        share, held = np.bincount(corner.ravel(), np.repeat(areas / 3, 3)), HELD * np.isin(self.vertices, top)
+        heat = _factors(diags_array(share + held) + HEATED * weighted @ along).solve(held)
+        return uphill(self.uv, np.log(np.maximum(heat, np.finfo(float).tiny))[corner])
 
     def _laplacian(
         self,
@@ -184,6 +182,14 @@ class FlatCloth:
         """Marks the first side of each edge."""
         low, high, _, _ = self._sides
         return np.diff(low * np.int64(self.size) + high, prepend=-1) != 0
+
+
+def uphill(uv: Float[np.ndarray, "f 3 2"], values: Float[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 2"]:
+    """Unit vectors in the faces' planes along which a function rises, of values at their corners; 0 where it is level."""
+    (u, v), (rise, last) = (uv[:, 1:] - uv[:, :1]).transpose(1, 2, 0), (values[:, 1:] - values[:, :1]).T
+    up = np.stack([rise * v[1] - last * u[1], last * u[0] - rise * v[0]], axis=1)
+    up *= np.sign(u[0] * v[1] - u[1] * v[0])[:, None]
+    return up / np.maximum(np.linalg.norm(up, axis=1), np.finfo(float).tiny)[:, None]
 
 
 def _factors(matrix: csc_array) -> SuperLU:
