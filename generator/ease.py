@@ -149,16 +149,16 @@ class _Cloth:
 
     def __init__(self, mesh: BoxMesh, corners: Float[np.ndarray, "c 3"], as_cut: Float[np.ndarray, "c 3"]) -> None:
         sleeves = np.array([label == PanelRole.ARM for label in mesh.panel_labels])[mesh.panel_id]
-        self._faces = {on_arms: np.flatnonzero(sleeves == on_arms) for on_arms in (False, True)}
+        faces = {on_arms: np.flatnonzero(sleeves == on_arms) for on_arms in (False, True)}
+        self._faces = {on_arms: (own, mesh.corners[own].T.copy()) for on_arms, own in faces.items()}
         self._mesh, self._corners, self._as_cut = mesh, corners, as_cut
 
     def section(self, plane: Plane) -> Float[np.ndarray, "s 2 6"]:
         """The section with a plane: segments with their places in its frame, in the panel, and their face."""
-        faces, height = self._faces[plane.on_arm], self._corners @ plane.normal - plane.centre @ plane.normal
-        corners = self._mesh.corners[faces]
-        first, second, third = (height > 0.0)[corners].T
-        crossed = (first != second) | (first != third)
-        rows = corners[crossed].ravel()
+        (faces, corners), height = self._faces[plane.on_arm], self._corners @ plane.normal - plane.centre @ plane.normal
+        first, second, third = (height > 0.0).take(corners)
+        crossed = np.flatnonzero((first != second) | (first != third))
+        rows = corners[:, crossed].T.ravel()
         in_frame = (self._corners[rows] - plane.centre) @ plane.frame
         in_frame[:, 0] = height[rows]
         columns = np.column_stack([in_frame, self._mesh.uv[rows], np.repeat(faces[crossed], 3)])
@@ -171,13 +171,12 @@ class _Cloth:
         """
         by_panels = dict[frozenset[int], float]()
         for ring in self.rings(plane):
-            face = ring[:, 0, 5].astype(int)
-            panel, corners, step = self._mesh.panel_id[face], self._mesh.corners[face], ring[:, 1, 3:5] - ring[:, 0, 3:5]
+            face, step = ring[:, 0, 5].astype(int), ring[:, 1, 3:5] - ring[:, 0, 3:5]
+            panel, corners = self._mesh.panel_id[face], self._mesh.corners[face]
             up = uphill(self._mesh.uv[corners], self._as_cut[corners] @ plane.as_cut.normal)
             across = np.bincount(panel, step[:, 0] * up[:, 1] - step[:, 1] * up[:, 0])
-            by_panels.setdefault(
-                frozenset(panel), float(np.hypot(across, np.bincount(panel, (step * up).sum(axis=1))).sum())
-            )
+            rise = np.bincount(panel, (step * up).sum(axis=1))
+            by_panels.setdefault(frozenset(panel), float(np.hypot(across, rise).sum()))
         return min(by_panels.values(), default=np.nan)
 
     def rings(self, plane: Plane) -> Iterator[Float[np.ndarray, "s 2 6"]]:

@@ -55,6 +55,7 @@ CASES: Mapping[str, str] = {
     "bodies_draped": "benchmarks.cases.bodies_draped",
     "design_space": "benchmarks.cases.design_space",
     "drape": "benchmarks.cases.drape",
+    "ease": "benchmarks.cases.ease",
     "fabrics": "benchmarks.cases.fabrics",
     "fits": "benchmarks.cases.fits",
     "generated": "benchmarks.cases.generated",

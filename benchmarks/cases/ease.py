@@ -109,10 +109,11 @@ def measured(number: int, wearer: DressedWearer, drape: Drape) -> Iterator[Ring]
         near = next((near for plane in planes if (near := rings_near(mesh, drape, plane))), None)
         if name == "neck" or near is None or not np.isfinite(worn):
             continue
+        ring = min(near, key=lambda ring: on_paper(ring, pattern))
         if worn >= body + LOOSE:
-            yield Ring(number, name, worn, body, abs(worn - min(on_paper(ring, pattern) for ring in near)))
+            yield Ring(number, name, worn, body, abs(worn - on_paper(ring, pattern)))
         elif worn < body:
-            flat, spatial = (np.linalg.norm(np.diff(near[0][:, :, at], axis=1), axis=2) for at in (FLAT, SPACE))
+            flat, spatial = (np.linalg.norm(np.diff(ring[:, :, at], axis=1), axis=2) for at in (FLAT, SPACE))
             stretch = np.average(spatial / np.maximum(flat, 1e-9), weights=flat)
             yield Ring(number, name, worn, body, abs(worn * stretch / spatial.sum() - 1.0))
 
@@ -169,7 +170,9 @@ def _upper_edge(panel: Panel) -> shapely.Geometry | None:
     if is_bodice(panel.name) or is_trouser_leg(panel.name):
         return None
     lines = [
-        sample_curve(*panel.edge_ends(row), edge.curve, 33) for row, edge in enumerate(panel.edges) if edge.name == "top"
+        sample_curve(*panel.edge_ends(row), edge.curve, 33)
+        for row, edge in enumerate(panel.edges)
+        if edge.name == "top"
     ]
     if not lines and panel.label == PanelRole.LEG:
         return shapely.Point(max(panel.vertices, key=lambda corner: corner[1]))

@@ -18,6 +18,7 @@ CROSSED = np.array(
     [[-1, -1, -1], [0, 1, 2], [1, 2, 0], [2, 1, 0], [2, 0, 1], [1, 0, 2], [0, 2, 1], [-1, -1, -1]], np.int8
 )
 """Row: bit set of the corners above the plane. Entries: the corner cut off, then the others, in section order."""
+PLACE_KEY = np.array([73856093, 19349663, 83492791])  # of points in 1e-6 cm, as one number: sorted many times as fast
 DIRECTIONS = 48  # widths averaged for a rough girth; the tape at its best level is within 0.01 cm of the best
 
 
@@ -95,7 +96,8 @@ def contour_length(segments: Float[np.ndarray, "s 2 3"]) -> float:
 
 def loops(segments: Float[np.ndarray, "s 2 3"]) -> Int[np.ndarray, " s"]:
     """Number of the connected loop of each segment."""
-    ends = np.unique(np.round(segments.reshape(-1, 3), 6), axis=0, return_inverse=True)[1].reshape(-1, 2)
+    places = np.round(1e6 * segments.reshape(-1, 3)).astype(np.int64)
+    ends = np.unique(places @ PLACE_KEY, return_inverse=True)[1].reshape(-1, 2)
     size = int(ends.max(initial=0)) + 1
     graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(size, size))
     return connected_components(graph, directed=False)[1][ends[:, 0]]

@@ -1,7 +1,7 @@
 """Cloth as cut, round the body before sewing: where a pattern has each place of a garment."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.generator.body.limbs import FRONT, Limb, along_arm, limbs_of
 from gcd_dataset.generator.body.section import unit
@@ -42,7 +42,7 @@ def placed_as_cut(
         held = (left > 0.0) & np.isin(every, mesh.faces[(roles == PanelRole.BODY)[mesh.panel_id]])
     skirts = (roles == PanelRole.LEG) & ~np.array(list(map(is_trouser_leg, mesh.panel_names)))
     hung = (skirts | [any(word in name for word in WAISTBANDS) for name in mesh.panel_names])[mesh.panel_id]
-    if len(top := mesh.labels.get(EdgeRole.LOWER_INTERFACE, ())) and hung.any():
+    if len(top := _upper_edge(mesh, pattern)) and hung.any():
         rise[hung] = FlatCloth.of(mesh, hung).towards(top)
     held &= np.isin(every, trunk.vertices)
     if len(trunk.vertices):
@@ -55,6 +55,19 @@ def placed_as_cut(
             rows = np.unique(mesh.corners[own])
             found[rows] = _along(mesh, own, axes[own], arm)[mesh.uv_vertex[rows]]
     return found
+
+
+def _upper_edge(mesh: BoxMesh, pattern: Pattern) -> Int[np.ndarray, " t"]:
+    """The vertices of a waistband's or skirt's upper edge, with its ends, which the label of a free edge leaves out."""
+    found, panel_of = [np.array(mesh.labels.get(EdgeRole.LOWER_INTERFACE, ()), int)], mesh.panel_of_row
+    for number, panel in enumerate(pattern.panels):
+        corners = [
+            at for edge in panel.edges if edge.label == EdgeRole.LOWER_INTERFACE for at in (edge.start, edge.end)
+        ]
+        rows = np.flatnonzero(panel_of == number)
+        away = np.abs(mesh.uv[rows] - panel.vertices[corners][:, None]).sum(axis=2)
+        found.append(mesh.uv_vertex[rows[away.argmin(axis=1)]])
+    return np.concatenate(found)
 
 
 def _along(

@@ -15,6 +15,7 @@ from gcd_dataset.generator.body.by_name import named_body
 from gcd_dataset.generator.drape import DrapeJob, drape_batch
 from gcd_dataset.generator.ease import ease_of
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
+from gcd_dataset.generator.garments.waistband import Waistband
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.pattern import Component, Outline, Piece, assemble
 from gcd_dataset.generator.quality import principal_stretches
@@ -61,8 +62,13 @@ def tube(*widths: float, height: float = 20.0, top: float = 118.0) -> tuple[Patt
     return pattern, build_box_mesh(pattern, spacing=2.0)
 
 
-def rolled(mesh: BoxMesh, pattern: Pattern, radius: float, fold: float = 0.0) -> Float[np.ndarray, "v 3"]:
-    """The tubes round a cylinder about the trunk, in folds of depth ``fold`` that rise and fall by twice that [cm]."""
+def rolled(
+    mesh: BoxMesh, pattern: Pattern, radius: float, fold: float = 0.0, tilt: float = 0.0
+) -> Float[np.ndarray, "v 3"]:
+    """The tubes round a cylinder about the trunk, in folds of depth ``fold`` that rise and fall by twice that [cm].
+
+    ``tilt``: rise of the cloth from the left side to the right side [cm].
+    """
     panel, at = mesh.panel_of_row, np.zeros((len(mesh.vertices), 3))
     for row, each in enumerate(pattern.panels):
         own = panel == row
@@ -70,6 +76,7 @@ def rolled(mesh: BoxMesh, pattern: Pattern, radius: float, fold: float = 0.0) ->
         angle = np.pi * (u if each.name.startswith("f") else 2.0 - u)
         out = radius + fold * np.sin(24 * angle)
         height = each.placement.apply(mesh.uv[own])[:, 1] + 2.0 * fold * np.sin(5 * angle)
+        height += tilt * (1.0 - np.abs(angle / np.pi - 1.0))
         at[mesh.uv_vertex[own]] = np.stack([-out * np.cos(angle), height, out * np.sin(angle)], axis=1)
     return at
 
@@ -94,6 +101,13 @@ def test_a_tight_ring_is_as_long_as_its_cut_girth_times_its_stretch(neutral: tup
     assert ease_of(pattern, mesh, *neutral, vertices)["waist"].cloth * stretch == pytest.approx(
         2 * np.pi * 15, rel=0.01
     )
+
+
+def test_a_tilted_ring_is_as_long_as_the_lines_on_its_panels(neutral: tuple[Body, Measurements]) -> None:
+    """Each is straight, 40 cm wide, and falls by 12 cm from side to side."""
+    pattern, mesh = tube(40.0, height=40.0, top=130.0)
+    found = ease_of(pattern, mesh, *neutral, rolled(mesh, pattern, 14.0, tilt=12.0))["waist"]
+    assert [found.cloth, found.worn] == pytest.approx([80.0, 2 * np.hypot(40.0, 12.0)], abs=0.1)
 
 
 def test_gathers_count_by_the_shorter_side_of_the_seam(neutral: tuple[Body, Measurements]) -> None:
@@ -143,6 +157,17 @@ def test_a_circle_skirt_widens_by_the_angle_that_it_is_cut_from(neutral: tuple[B
     inner, outer = (lengths(pattern, name) for name in ("top", "bottom"))
     angle = (outer - inner) / length(pattern.panels[0], "left")
     assert found["thigh"].cloth - found["hips"].cloth == pytest.approx(angle * depth, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", Waistband)
+def test_a_waistband_is_cut_along_its_upper_edge(kind: Waistband, neutral: tuple[Body, Measurements]) -> None:
+    """The waist is less than 2 cm below that edge: the band has widened by a small share there."""
+    body, size = neutral
+    design = {"meta": {"upper": None, "wb": kind.value, "bottom": "SkirtCircle"}, "waistband": {"width": 0.6}}
+    pattern = draw_garment(size, design_from_dict(design))
+    top, bottom = (lengths(pattern, edge, ("wb_front", "wb_back")) for edge in ("top", "bottom"))
+    found = ease_of(pattern, build_box_mesh(pattern, spacing=2.0), body, size)["waist"]
+    assert top - 0.01 <= found.cloth <= top + 2.0 / (0.6 * size.hips_line) * (bottom - top) + 0.01
 
 
 def test_no_cloth_no_girth(neutral: tuple[Body, Measurements]) -> None:

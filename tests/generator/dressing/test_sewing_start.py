@@ -438,3 +438,10 @@ def test_distances_run_along_edges() -> None:
     on_side = mesh.uv[:, 1] == mesh.uv[corner, 1]
     assert distance[on_side] == pytest.approx(straight[on_side])
     assert cloth.area == pytest.approx(60.0)
+
+
+def test_the_ways_to_a_straight_edge_are_at_right_angles_to_it() -> None:
+    mesh, cloth = strip()
+    top = np.flatnonzero(mesh.uv[:, 1] == mesh.uv[:, 1].max())
+    ways = cloth.towards(top)[np.isin(cloth.faces, top).any(axis=1)]
+    assert ways == pytest.approx(np.tile([0.0, 1.0], (len(ways), 1)), abs=0.02)
