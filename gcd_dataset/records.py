@@ -483,7 +483,7 @@ class Ease:
     """As cut: along the panels, at the place where the pattern has it."""
     body: float = nan
     worn: float = nan
-    """As worn: as cut, at the mean level that the pattern has for the cloth there in the drape. NaN for lengths."""
+    """As worn: along the panels round the body, without the rise and fall of folds. NaN for lengths."""
 
     @property
     def ease(self) -> float:

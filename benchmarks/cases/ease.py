@@ -106,7 +106,7 @@ def measured(number: int, wearer: DressedWearer, drape: Drape) -> Iterator[Ring]
     found = ease_of(pattern, mesh, wearer.body, wearer.size, drape.vertices)
     for name, planes in planes_of(wearer.body, wearer.size).items():
         worn, body = found[name].worn, found[name].body
-        near = next((near for plane in planes if (near := rings_near(mesh, drape, plane))), None)
+        near = next((near for plane in planes if (near := rings_near(mesh, drape.vertices, plane))), None)
         if name == "neck" or near is None or not np.isfinite(worn):
             continue
         ring = min(near, key=lambda ring: on_paper(ring, pattern))
@@ -121,19 +121,19 @@ def measured(number: int, wearer: DressedWearer, drape: Drape) -> Iterator[Ring]
 SPACE, FLAT, PANEL = slice(0, 3), slice(3, 5), 5  # columns of a ring's points: in the plane's frame, and in the panel
 
 
-def rings_near(mesh: BoxMesh, drape: Drape, plane: Plane) -> list[Float[np.ndarray, "s 2 6"]]:
-    """The rings in a plane and ``NEAR`` from it that cross different panels; those within its reach if there are none."""
+def rings_near(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"], plane: Plane) -> list[Float[np.ndarray, "s 2 6"]]:
+    """The rings in a plane and ``NEAR`` from it, one for each set of panels; without any, those within its reach."""
     for away in (0.0, *plane.reach):
-        rings = [_ring(mesh, drape, plane.moved(away + by)) for by in (0.0, NEAR, -NEAR)]
+        rings = [_ring(mesh, vertices, plane.moved(away + by)) for by in (0.0, NEAR, -NEAR)]
         if near := {frozenset(ring[:, 0, PANEL]): ring for ring in rings[::-1] if ring is not None}:
             return list(near.values())[::-1]
     return []
 
 
-def _ring(mesh: BoxMesh, drape: Drape, plane: Plane) -> Float[np.ndarray, "s 2 6"] | None:
+def _ring(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"], plane: Plane) -> Float[np.ndarray, "s 2 6"] | None:
     """The shortest closed section of the drape round a plane's centre, along the panels; ``None`` without one."""
     on_arms = np.isin(mesh.panel_id, [row for row, role in enumerate(mesh.panel_labels) if role == PanelRole.ARM])
-    places = (np.asarray(drape.vertices, float)[mesh.uv_vertex] - plane.centre) @ plane.frame
+    places = (np.asarray(vertices, float)[mesh.uv_vertex] - plane.centre) @ plane.frame
     cut = section(np.column_stack([places, mesh.uv, mesh.panel_of_row]), mesh.corners[on_arms == plane.on_arm], 0, 0.0)
     number = loops(cut[:, :, SPACE])
     centres = [np.zeros(3)] + ([] if plane.beside is None else [(plane.beside - plane.centre) @ plane.frame])

@@ -21,10 +21,10 @@ def placed_as_cut(
     """Each row of ``mesh.uv`` round the body, at its height, or place along the arm, in the pattern [cm].
 
     Gaps between panels close, and so do darts: the height is that of the sewn cloth with a gradient nearest to the
-    panels' upward direction, or in waistbands and skirts to the direction towards the upper edge. Uppers are drawn down from the
-    outer end of the shoulder seam; from there to the ``waist`` [cm above the floor], cloth is as long as the way over
-    the bust or down the back, and longer than the difference in height. Sleeves begin at the shoulder and lie along the
-    arm.
+    panels' upward direction, or in waistbands and skirts to the direction towards the upper edge. Uppers are drawn down
+    from the outer end of the shoulder seam; from there to the ``waist`` [cm above the floor], cloth is as long as the
+    way over the bust or down the back, and longer than the difference in height. Sleeves begin at the shoulder and lie
+    along the arm.
     """
     axes = np.stack([panel.placement.matrix[:, :2] for panel in pattern.panels])[mesh.panel_id]
     roles = np.array(mesh.panel_labels)

@@ -185,7 +185,7 @@ class FlatCloth:
 
 
 def uphill(uv: Float[np.ndarray, "f 3 2"], values: Float[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 2"]:
-    """Unit vectors in the faces' planes along which a function rises, of values at their corners; 0 where it is level."""
+    """Unit vectors in the faces' planes along which a function rises, from its values at the corners; 0 where level."""
     (u, v), (rise, last) = (uv[:, 1:] - uv[:, :1]).transpose(1, 2, 0), (values[:, 1:] - values[:, :1]).T
     up = np.stack([rise * v[1] - last * u[1], last * u[0] - rise * v[0]], axis=1)
     up *= np.sign(u[0] * v[1] - u[1] * v[0])[:, None]
