@@ -14,7 +14,7 @@ from pathlib import Path
 
 from benchmarks.cases import CaseResult, Figure
 from benchmarks.reconstruction.models import MODELS
-from benchmarks.reconstruction.scoring.table import REPORT, UNITS
+from gcd_dataset.scoring.table import REPORT, UNITS
 from benchmarks.reconstruction.train import add_arguments as add_training_arguments
 from benchmarks.reconstruction.train import options_from
 from benchmarks.reconstruction.train import run as run_model

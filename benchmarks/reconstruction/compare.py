@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reconstruction.scoring.table import EVALUATION, REPORT, SCORES, TIMES, UNITS
+from gcd_dataset.scoring.table import EVALUATION, REPORT, SCORES, TIMES, UNITS
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import discard_stdout, read_whole
 from gcd_dataset.jsonfile import LARGEST_JSON, read_json

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from benchmarks.reconstruction.derived import CENTRE
-from benchmarks.reconstruction.evaluate import scores_of
+from gcd_dataset.scoring.evaluate import scores_of
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.tasks import ReconstructionTask
 from gcd_dataset.files import make_folder, open_whole, write_whole

@@ -35,7 +35,7 @@ from typing import Any, NoReturn
 import torch
 
 from benchmarks.reconstruction import leaderboard, results
-from benchmarks.reconstruction.scoring.table import REPORT
+from gcd_dataset.scoring.table import REPORT
 from benchmarks.reconstruction.stitching import run as stitching
 from benchmarks.reconstruction.tasks import task_named
 from benchmarks.reconstruction.train import UNFINISHED, add_arguments, is_draped, options_from, require_usable

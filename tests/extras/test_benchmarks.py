@@ -126,7 +126,7 @@ def test_a_network_learns_from_plain_pictures(tmp_path: Path) -> None:
 
 def test_a_reader_of_the_evaluator_exits_early(tmp_path: Path) -> None:
     truth, ours = (save(tmp_path / name, {"a": garment()}) for name in ("truth", "ours"))
-    command = [sys.executable, "-m", "benchmarks.reconstruction.evaluate", str(ours), str(truth)]
+    command = [sys.executable, "-m", "gcd_dataset.scoring.evaluate", str(ours), str(truth)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()

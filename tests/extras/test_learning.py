@@ -14,7 +14,7 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from benchmarks.cases import parity
 from benchmarks.cloth_tests import drape_coefficient
 from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
-from benchmarks.reconstruction.evaluate import main as evaluate
+from gcd_dataset.scoring.evaluate import main as evaluate
 from benchmarks.reconstruction.garments import GarmentSet, generated
 from benchmarks.reconstruction.models import load_model, panel_set
 from benchmarks.reconstruction.picture_inputs import Input, rendering

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.reconstruction.evaluate import main
+from gcd_dataset.scoring.evaluate import main
 from gcd_dataset.faults import MOST_EDGES, MOST_PANELS
 from gcd_dataset.metrics import PatternScore
 from gcd_dataset.records import Edge, Pattern
@@ -184,7 +184,7 @@ def test_hashes_tell_what_predictions_were_scored_against(
     tmp_path: Path, truth: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of drapes that nobody computes: only what is written beside the scores matters."""
-    monkeypatch.setattr("benchmarks.reconstruction.evaluate._draped", lambda garments, *_: iter(garments))
+    monkeypatch.setattr("gcd_dataset.scoring.evaluate._draped", lambda garments, *_: iter(garments))
     ours, bodies, inputs = save(tmp_path / "ours", {"a": garment()}), tmp_path / "bodies", tmp_path / "inputs"
     for folder in (bodies, inputs):
         folder.mkdir()

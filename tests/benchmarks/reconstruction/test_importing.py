@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.encoding_losses import AGAIN, losses_of
-from benchmarks.reconstruction.importing import garment_name, main
-from benchmarks.reconstruction.scoring.legacy import legacy_scores
+from gcd_dataset.scoring.answers import garment_name, main
+from benchmarks.reconstruction.legacy import legacy_scores
 from gcd_dataset.encodings import aipparel, garmentdiffusion, neuraltailor, sewformer, sewingldm
 from gcd_dataset.metrics import score_pattern
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam

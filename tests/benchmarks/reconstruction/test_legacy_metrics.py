@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.reconstruction.scoring.legacy import PRESETS, legacy_scores
+from benchmarks.reconstruction.legacy import PRESETS, legacy_scores
 from gcd_dataset.curves import LINE, Curve, Quadratic
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam

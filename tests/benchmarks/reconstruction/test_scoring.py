@@ -16,8 +16,8 @@ from benchmarks.reconstruction.judging import Patterns, draw_mesh, judge_of, sco
 from benchmarks.reconstruction.models import baselines
 from benchmarks.reconstruction.models.baselines import box_mesh, mean_measures, nearest_labels, nearest_measures
 from benchmarks.reconstruction.models.measures import scans_of
-from benchmarks.reconstruction.scoring.bodies import wearers_of
-from benchmarks.reconstruction.scoring.distances import (
+from gcd_dataset.scoring.bodies import wearers_of
+from gcd_dataset.scoring.distances import (
     WORST,
     Cloud,
     MeshShape,
@@ -26,8 +26,8 @@ from benchmarks.reconstruction.scoring.distances import (
     input_files,
     read_shape,
 )
-from benchmarks.reconstruction.scoring.draping import arranged, with_drapes
-from benchmarks.reconstruction.scoring.garments import (
+from gcd_dataset.scoring.draping import arranged, with_drapes
+from gcd_dataset.scoring.garments import (
     box_mesh_distance,
     garment_files,
     kind_of,

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 
-from benchmarks.reconstruction.scoring.distances import WORST, MeshShape, distance
+from gcd_dataset.scoring.distances import WORST, MeshShape, distance
 from gcd_dataset.errors import GcdError, PatternError, SpecError, shown
 from gcd_dataset.faults import MOST_EDGES, MOST_PANELS, Rule, Severity, check_pattern
 from gcd_dataset.generator.mesh import build_box_mesh

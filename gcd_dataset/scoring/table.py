@@ -9,7 +9,7 @@ import numpy as np
 from gcd_dataset.metrics import bootstrap_means
 
 if TYPE_CHECKING:
-    from benchmarks.reconstruction.scoring.garments import Scored
+    from gcd_dataset.scoring.garments import Scored
 
 REPORT = "report.json"
 """File in the folder of ``train --out``: mean scores, options, hashes of the data."""

@@ -1,7 +1,7 @@
 """Read predictions of published models and write them as specification files that ``evaluate`` scores.
 
-    python -m benchmarks.reconstruction.importing FORMAT FILE... --out DIR
-    python -m benchmarks.reconstruction.evaluate DIR TRUTH
+    python -m gcd_dataset.scoring.answers FORMAT FILE... --out DIR
+    python -m gcd_dataset.scoring.evaluate DIR TRUTH
 
 FORMAT names the model. A FILE is a specification JSON as NeuralTailor, SewFormer, SewingLDM and AIpparel write it,
 AIpparel's tokens as JSON, the arrays of a model's output as npz, npy or pt, or a folder of such files. Each garment
@@ -322,7 +322,7 @@ def _unscaled(command: str, rows: np.ndarray) -> np.ndarray:
 def _parser() -> argparse.ArgumentParser:
     title, _, rest = (__doc__ or "").partition("\n")
     parser = argparse.ArgumentParser(
-        prog="benchmarks.reconstruction.importing",
+        prog="gcd_dataset.scoring.answers",
         description=f"{title}\n{rest}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,

@@ -1,7 +1,7 @@
 """Score predicted patterns against true ones: anyone's specification files, matched by file name.
 
-    python -m benchmarks.reconstruction.evaluate PREDICTIONS TRUTH
-    python -m benchmarks.reconstruction.evaluate PREDICTIONS TRUTH --drape --bodies DIR --inputs DIR
+    python -m gcd_dataset.scoring.evaluate PREDICTIONS TRUTH
+    python -m gcd_dataset.scoring.evaluate PREDICTIONS TRUTH --drape --bodies DIR --inputs DIR
 
 Every true pattern counts: a prediction that is missing or cannot be read gets the worst value of every score. The
 definitions are in docs/evaluate.md. Exit code 0, or 1 with one line on what to correct.
@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.reconstruction.scoring.garments import SPACING, Scored, match_folders, score_cases
-from benchmarks.reconstruction.scoring.table import (
+from gcd_dataset.scoring.garments import SPACING, Scored, match_folders, score_cases
+from gcd_dataset.scoring.table import (
     garment_table,
     line_of,
     summaries,
@@ -35,8 +35,8 @@ from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
 if TYPE_CHECKING:
-    from benchmarks.reconstruction.scoring.bodies import Wearers
-    from benchmarks.reconstruction.scoring.distances import Shape
+    from gcd_dataset.scoring.bodies import Wearers
+    from gcd_dataset.scoring.distances import Shape
 
 INTERRUPTED = 130
 PRESETS = ("neuraltailor", "aipparel", "garmentdiffusion", "stitched", "reweaver")
@@ -120,7 +120,7 @@ def evaluator() -> argparse.ArgumentParser:
     """The arguments of the command."""
     title, _, rest = (__doc__ or "").partition("\n")
     parser = argparse.ArgumentParser(
-        prog="benchmarks.reconstruction.evaluate",
+        prog="gcd_dataset.scoring.evaluate",
         description=f"{title}\n{rest}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
@@ -179,7 +179,7 @@ def _inputs(folder: Path | None, names: Sequence[str]) -> "dict[str, Shape] | No
     """The input of every garment. Raises ``SpecError`` for a garment without one."""
     if folder is None:
         return None
-    from benchmarks.reconstruction.scoring.distances import input_files, read_shape
+    from gcd_dataset.scoring.distances import input_files, read_shape
 
     files = input_files(folder)
     missing = [name for name in names if name not in files]
@@ -192,7 +192,7 @@ def _wearers(options: argparse.Namespace, names: Sequence[str]) -> "Wearers | No
     """The bodies, if predictions are draped. Raises ``BodyError`` for a garment without one."""
     if not options.drape:
         return None
-    from benchmarks.reconstruction.scoring.bodies import NEUTRAL, wearers_of
+    from gcd_dataset.scoring.bodies import NEUTRAL, wearers_of
 
     wearers = wearers_of(options.bodies or NEUTRAL)
     wearers.require(names)
@@ -202,7 +202,7 @@ def _wearers(options: argparse.Namespace, names: Sequence[str]) -> "Wearers | No
 def _draped(
     garments: Sequence[Scored], wearers: "Wearers", inputs: "dict[str, Shape] | None", options: argparse.Namespace
 ) -> Iterator[Scored]:
-    from benchmarks.reconstruction.scoring.draping import with_drapes
+    from gcd_dataset.scoring.draping import with_drapes
 
     return with_drapes(
         garments,
@@ -216,7 +216,7 @@ def _draped(
 
 
 def _preset(preset: str, garments: Sequence[Scored]) -> dict[str, float]:
-    legacy = import_module("benchmarks.reconstruction.scoring.legacy")
+    legacy = import_module("benchmarks.reconstruction.legacy")
     predicted, true = [garment.predicted for garment in garments], [garment.true for garment in garments]
     return dict(legacy.legacy_scores(preset, predicted, true))
 
@@ -256,11 +256,11 @@ def _hashes(options: argparse.Namespace, truth: Mapping[str, Path]) -> dict[str,
     if not options.drape:
         return found
     if options.inputs is not None:
-        from benchmarks.reconstruction.scoring.distances import input_files
+        from gcd_dataset.scoring.distances import input_files
 
         files = input_files(options.inputs)
         found["inputs"] = _hash_of({name: files[name] for name in truth})
-    from benchmarks.reconstruction.scoring.bodies import NEUTRAL
+    from gcd_dataset.scoring.bodies import NEUTRAL
 
     bodies = Path(named := options.bodies or NEUTRAL)
     files = {str(path.relative_to(bodies)): path for path in (bodies.rglob("*") if bodies.is_dir() else [bodies])}

@@ -11,9 +11,9 @@ from itertools import chain
 
 import numpy as np
 
-from benchmarks.reconstruction.scoring.bodies import Wearers
-from benchmarks.reconstruction.scoring.distances import WORST, MeshShape, Shape, distance
-from benchmarks.reconstruction.scoring.garments import Scored, mesh_of
+from gcd_dataset.scoring.bodies import Wearers
+from gcd_dataset.scoring.distances import WORST, MeshShape, Shape, distance
+from gcd_dataset.scoring.garments import Scored, mesh_of
 from gcd_dataset.curves import mirrored, sample_curve
 from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drape import DrapeJob, drape_all
