@@ -202,11 +202,13 @@ def _wearers(options: argparse.Namespace, names: Sequence[str]) -> "Wearers | No
 def _draped(
     garments: Sequence[Scored], wearers: "Wearers", inputs: "dict[str, Shape] | None", options: argparse.Namespace
 ) -> Iterator[Scored]:
+    from benchmarks.reconstruction.scoring.bodies import NEUTRAL, Wearers
     from benchmarks.reconstruction.scoring.draping import with_drapes
 
     return with_drapes(
         garments,
         wearers,
+        own=Wearers(options.predictions, NEUTRAL, {}),
         inputs=inputs,
         partial=options.partial,
         spacing=options.resolution or SPACING,
