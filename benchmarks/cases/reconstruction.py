@@ -14,10 +14,10 @@ from pathlib import Path
 
 from benchmarks.cases import CaseResult, Figure
 from benchmarks.reconstruction.models import MODELS
-from gcd_dataset.scoring.table import REPORT, UNITS
 from benchmarks.reconstruction.train import add_arguments as add_training_arguments
 from benchmarks.reconstruction.train import options_from
 from benchmarks.reconstruction.train import run as run_model
+from gcd_dataset.scoring.table import REPORT, UNITS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -19,6 +19,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gcd_dataset import __version__
+from gcd_dataset.errors import ConfigError, GcdError, OutputError, SpecError
+from gcd_dataset.files import discard_stdout, write_whole
+from gcd_dataset.metrics import PatternScore, score_pattern
+from gcd_dataset.records import Pattern
 from gcd_dataset.scoring.garments import SPACING, Scored, match_folders, score_cases
 from gcd_dataset.scoring.table import (
     garment_table,
@@ -27,11 +32,6 @@ from gcd_dataset.scoring.table import (
     summaries_by_kind,
     tree_of,
 )
-from gcd_dataset import __version__
-from gcd_dataset.errors import ConfigError, GcdError, OutputError, SpecError
-from gcd_dataset.files import discard_stdout, write_whole
-from gcd_dataset.metrics import PatternScore, score_pattern
-from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
 if TYPE_CHECKING:
@@ -202,11 +202,13 @@ def _wearers(options: argparse.Namespace, names: Sequence[str]) -> "Wearers | No
 def _draped(
     garments: Sequence[Scored], wearers: "Wearers", inputs: "dict[str, Shape] | None", options: argparse.Namespace
 ) -> Iterator[Scored]:
+    from gcd_dataset.scoring.bodies import NEUTRAL, Wearers
     from gcd_dataset.scoring.draping import with_drapes
 
     return with_drapes(
         garments,
         wearers,
+        own=Wearers(options.predictions, NEUTRAL, {}),
         inputs=inputs,
         partial=options.partial,
         spacing=options.resolution or SPACING,

@@ -5,12 +5,12 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 
-from gcd_dataset.scoring.distances import WORST, MeshShape, distance
 from gcd_dataset.errors import GcdError, PatternError, SpecError, shown
 from gcd_dataset.faults import MOST_EDGES, MOST_PANELS, Rule, Severity, check_pattern
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.metrics import PanelShape, failed_score, score_pattern
 from gcd_dataset.records import BoxMesh, Pattern
+from gcd_dataset.scoring.distances import WORST, MeshShape, distance
 from gcd_dataset.spec import is_bodice, is_trouser_leg, read_pattern
 from gcd_dataset.workers import parallel_map
 

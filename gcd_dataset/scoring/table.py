@@ -19,6 +19,7 @@ EVALUATION = "evaluation.json"
 """There: the evaluator's scores, with drapes."""
 UNITS = {
     "boxmesh_cd": "cm",
+    "openings_cm": "cm",
     "panel_l2": "cm",
     "panel_l2_pen": "cm",
     "redrape_cd_cm": "cm",
@@ -26,14 +27,15 @@ UNITS = {
     "transl_cm": "cm",
 }
 """Units of the scores that are not shares."""
-COLUMNS = ("valid", "iou", "panel_count_acc", "edge_count_acc", "stitch_f1", "stitch_nm_f1", "topology_exact")
-DRAPED = ("sim_ok", "redrape_cd_cm", "within_1cm")
+COLUMNS = ("valid", "iou", "panel_count_acc", "edge_count_acc", "stitch_f1", "stitch_nm_f1", "combinatorial")
+DRAPED = ("sim_ok", "redrape_cd_cm", "openings_cm", "strict_within_1cm", "strict_unaided")
 """Scores of drapes."""
 TIMES = ("ms",)
 """Scores that are times, which other programs on the device lengthen."""
 SHORT = {
     "panel_count_acc": "panels", "edge_count_acc": "edges", "stitch_f1": "stitch", "stitch_nm_f1": "n:m",
-    "topology_exact": "exact", "redrape_cd_cm": "drape cm", "within_1cm": "≤1 cm", "sim_ok": "sim ok",
+    "combinatorial": "comb.", "redrape_cd_cm": "drape cm", "openings_cm": "open cm", "sim_ok": "sim ok",
+    "strict_within_1cm": "≤1 cm", "strict_unaided": "unaided",
 }  # fmt: skip
 MOST_ROWS = 30  # garments of a printed table; more: those with a failure or a remark
 DIGITS = 6  # decimals of a printed figure: rounding errors print as 0

@@ -126,7 +126,7 @@ def test_several_processes_score_alike_and_the_headline_counts_right_drapes_of_a
     options = ["--drape", "--resolution", "8", "--device", "cpu", "--quiet", "--json", str(json_file)]
     assert evaluate([str(ours), str(true), *options]) == 0
     found = figures(capsys.readouterr().out)
-    assert found["within_1cm"] == found["topology_exact"] == pytest.approx(1 / 3, abs=1e-4)
+    assert found["strict_within_1cm"] == found["combinatorial"] == pytest.approx(1 / 3, abs=1e-4)
     rows = {row["name"]: row for row in json.loads(json_file.read_text())["garments"]}
     assert rows["a"]["redrape_cd_cm"] == pytest.approx(0, abs=1e-6)
     assert rows["b"]["redrape_cd_cm"] < rows["c"]["redrape_cd_cm"] == 100

@@ -11,9 +11,9 @@ import pytest
 
 from benchmarks.reconstruction import compare
 from benchmarks.reconstruction.compare import LEAST_GARMENTS, Difference, ModelScores, differences, main, read_scores
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.scoring.evaluate import main as evaluate
 from gcd_dataset.scoring.table import EVALUATION, REPORT, SCORES
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.spec import write_pattern
 from tests.benchmarks.reconstruction.toys import t_shirt, tube
 

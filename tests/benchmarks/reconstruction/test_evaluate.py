@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gcd_dataset.scoring.evaluate import main
 from gcd_dataset.faults import MOST_EDGES, MOST_PANELS
 from gcd_dataset.metrics import PatternScore
 from gcd_dataset.records import Edge, Pattern
+from gcd_dataset.scoring.evaluate import main
 from gcd_dataset.spec import spec_from_pattern, write_pattern
 from tests.test_metrics import SAME, garment
 
@@ -55,7 +55,7 @@ def test_copies_are_perfect_however_they_are_written(
     found = figures(printed.out)
     assert set(PatternScore.__dataclass_fields__) <= found.keys()
     assert (found["garments"], found["failed"]) == (4, 0)
-    for name in ("iou", "stitch_f1", "panel_count_acc", "edge_count_acc", "topology_exact", "garment_perfect"):
+    for name in ("iou", "stitch_f1", "panel_count_acc", "edge_count_acc", "combinatorial", "garment_perfect"):
         assert found[name] == 1, name
     for name in ("panel_l2", "transl_cm", "boxmesh_cd", "seam_mismatch"):
         assert found[name] == pytest.approx(0, abs=1e-2), name
@@ -70,7 +70,7 @@ def test_every_garment_is_in_the_denominator(tmp_path: Path, truth: Path, capsys
     printed = capsys.readouterr()
     found = figures(printed.out)
     assert (found["garments"], found["failed"]) == (4, 2)
-    for name in ("iou", "stitch_f1", "stitch_nm_f1", "topology_exact", "valid", "panel_f1"):
+    for name in ("iou", "stitch_f1", "stitch_nm_f1", "combinatorial", "valid", "panel_f1"):
         assert found[name] == 0.25, name
     assert found["transl_cm"] == pytest.approx(30)
     assert found["boxmesh_cd"] == pytest.approx(75)

@@ -10,11 +10,11 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.encoding_losses import AGAIN, losses_of
-from gcd_dataset.scoring.answers import garment_name, main
 from benchmarks.reconstruction.legacy import legacy_scores
 from gcd_dataset.encodings import aipparel, garmentdiffusion, neuraltailor, sewformer, sewingldm
 from gcd_dataset.metrics import score_pattern
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.scoring.answers import garment_name, main
 from gcd_dataset.spec import read_pattern, write_pattern
 
 SEAMS = (Seam(EdgeRef("wb_front", 1), EdgeRef("wb_back", 3)), Seam(EdgeRef("wb_front", 3), EdgeRef("wb_back", 1)))
@@ -47,7 +47,7 @@ def save(path: Path, arrays: dict[str, np.ndarray], **others: np.ndarray) -> Non
 
 def assert_perfect(path: Path, true: Pattern) -> None:
     score = score_pattern(read_pattern(path), true)
-    assert (score.iou, score.topology_exact, score.stitch_f1) == pytest.approx((1.0, 1.0, 1.0), abs=1e-6)
+    assert (score.iou, score.combinatorial, score.stitch_f1) == pytest.approx((1.0, 1.0, 1.0), abs=1e-6)
     assert score.transl_cm == pytest.approx(0.0, abs=1e-4)
 
 
@@ -81,7 +81,7 @@ def test_an_old_specification_is_read(tmp_path: Path) -> None:
     found = read_pattern(tmp_path / "out" / "skirt_specification.json")
     assert {panel.name for panel in found.panels} == {"front", "back"}
     assert len(found.seams) == 1
-    assert score_pattern(found, read_pattern(source)).topology_exact == 1.0
+    assert score_pattern(found, read_pattern(source)).combinatorial == 1.0
 
 
 def test_files_that_models_name_by_their_folder() -> None:
@@ -217,7 +217,7 @@ def test_aipparel_tokens(tmp_path: Path) -> None:
 
 def test_losses_of_encodings_are_measured() -> None:
     found = {name: losses_of(again, [garment()]) for name, again in AGAIN.items()}
-    assert all(fit == 1.0 and means["topology_exact"] == 1.0 for fit, means in found.values())
+    assert all(fit == 1.0 and means["combinatorial"] == 1.0 for fit, means in found.values())
     many = Pattern("many", tuple(garment().panels[0] for _ in range(24)), ())
     fit, means = losses_of(AGAIN["NeuralTailor, 23 × 14 × 4"], [garment(), many])
     assert (fit, means["iou"]) == pytest.approx((0.5, 1.0))

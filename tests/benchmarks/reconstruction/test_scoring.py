@@ -16,24 +16,6 @@ from benchmarks.reconstruction.judging import Patterns, draw_mesh, judge_of, sco
 from benchmarks.reconstruction.models import baselines
 from benchmarks.reconstruction.models.baselines import box_mesh, mean_measures, nearest_labels, nearest_measures
 from benchmarks.reconstruction.models.measures import scans_of
-from gcd_dataset.scoring.bodies import wearers_of
-from gcd_dataset.scoring.distances import (
-    WORST,
-    Cloud,
-    MeshShape,
-    Shape,
-    distance,
-    input_files,
-    read_shape,
-)
-from gcd_dataset.scoring.draping import arranged, with_drapes
-from gcd_dataset.scoring.garments import (
-    box_mesh_distance,
-    garment_files,
-    kind_of,
-    match_folders,
-    score_garment,
-)
 from benchmarks.reconstruction.tasks import task_named
 from gcd_dataset.curves import Cubic
 from gcd_dataset.errors import BodyError, GcdError, SpecError
@@ -43,9 +25,29 @@ from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.measurements import ANGLES, MEASURES
 from gcd_dataset.records import Edge, Panel, Pattern, Placement, Seam
+from gcd_dataset.scoring.bodies import wearers_of
+from gcd_dataset.scoring.distances import (
+    WORST,
+    Cloud,
+    MeshShape,
+    Shape,
+    distance,
+    input_files,
+    openings_apart,
+    openings_of,
+    read_shape,
+)
+from gcd_dataset.scoring.draping import arranged, panels_alike, with_drapes
+from gcd_dataset.scoring.garments import (
+    box_mesh_distance,
+    garment_files,
+    kind_of,
+    match_folders,
+    score_garment,
+)
 from gcd_dataset.spec import read_pattern
 from tests.benchmarks.reconstruction.conftest import SKIRTS
-from tests.test_metrics import SAME, each, garment
+from tests.test_metrics import SAME, drawn_from_behind, each, garment
 
 
 @pytest.fixture(scope="module")
@@ -248,30 +250,63 @@ def test_arranging_keeps_panels_and_seams_without_a_match() -> None:
     assert len(found.panels[-1].edges) == 3
 
 
+def test_the_openings_of_a_tube_are_its_two_ends() -> None:
+    """A tube that is 4 cm shorter at one end has this end 4 cm away, whatever its mean distance is."""
+    tube = trimesh.creation.cylinder(10.0, 60.0, sections=64)
+    faces = np.array([face for face in tube.faces if np.ptp(tube.vertices[face, 2]) > 1.0])
+    ends = openings_of(tube.vertices, faces)
+    assert sorted(float(end[:, 2].mean()) for end in ends) == [-30.0, 30.0]
+    shorter = openings_of(np.minimum(tube.vertices, [99.0, 99.0, 26.0]), faces)
+    assert openings_apart(ends, ends) == 0
+    assert openings_apart(ends, shorter) == openings_apart(shorter, ends) == pytest.approx(4.0)
+    assert (openings_apart(ends, []), openings_apart([], [])) == (WORST, 0)
+
+
+def test_panels_turned_inside_out_are_not_alike() -> None:
+    mirrored = each(lambda panel: replace(drawn_from_behind(panel), placement=panel.placement))(garment())
+    assert score_garment("g", mirrored, garment()).values["iou"] == pytest.approx(1)
+    assert not panels_alike(mirrored, garment())
+    assert panels_alike(SAME["all of it"](garment()), garment())
+
+
 @pytest.mark.long
 def test_predictions_are_draped_and_compared_with_the_true_drape(skirt: Pattern) -> None:
-    """The same garment otherwise numbered, one 6 cm longer, one that cannot be sewn, and none."""
+    """A skirt that is lower on one side: the same one otherwise numbered, one 3 cm too short, one scaled by 0.95, its
+    mirror image, one that cannot be sewn, and none. Only the first is right."""
 
-    def longer(panel: Panel) -> Panel:
-        low = panel.vertices[:, 1] < panel.vertices[:, 1].min() + 1.0
-        return replace(panel, vertices=panel.vertices - np.outer(low, [0.0, 6.0]))
+    def lifted(pattern: Pattern, by: Callable[[np.ndarray], np.ndarray]) -> Pattern:
+        """The hem lifted by a height [cm] that depends on its place from the wearer's right to the left."""
 
+        def changed(panel: Panel) -> Panel:
+            low = panel.vertices[:, 1] < panel.vertices[:, 1].min() + 1.0
+            height = by(panel.placement.apply(panel.vertices)[:, 0]) * low
+            return replace(panel, vertices=panel.vertices + np.outer(height, [0.0, 1.0]))
+
+        return each(changed)(pattern)
+
+    true = lifted(skirt, lambda x: 5.0 * (x > 0))
     answers = {
-        "same": SAME["all of it"](skirt),
-        "longer": each(longer)(skirt),
-        "broken": each(lambda panel: replace(panel, vertices=0.001 * panel.vertices))(skirt),
+        "same": SAME["all of it"](true),
+        "short": lifted(skirt, lambda x: 3.0 + 5.0 * (x > 0)),
+        "small": each(lambda panel: replace(panel, vertices=0.95 * panel.vertices))(true),
+        "mirrored": lifted(skirt, lambda x: 5.0 * (x < 0)),
+        "broken": each(lambda panel: replace(panel, vertices=0.001 * panel.vertices))(true),
         "none": None,
     }
-    scored = [score_garment(name, pattern, skirt, spacing=8.0) for name, pattern in answers.items()]
-    rows = {r.name: r for r in with_drapes(scored, wearers_of("neutral"), spacing=8.0, device="cpu")}
+    scored = [score_garment(name, pattern, true, spacing=8.0) for name, pattern in answers.items()]
+    neutral = wearers_of("neutral")
+    rows = {r.name: r for r in with_drapes(scored, neutral, own=neutral, spacing=8.0, device="cpu")}
     assert list(rows) == list(answers)
-    values = {
-        name: [row.values[key] for key in ("sim_ok", "redrape_cd_cm", "within_1cm")] for name, row in rows.items()
-    }
-    assert values["same"] == pytest.approx([1, 0, 1], abs=1e-6)
-    assert values["longer"][0] == 1
-    assert 0.1 < values["longer"][1] < 3
-    assert values["broken"] == values["none"] == [0, WORST, 0]
+    names = ("sim_ok", "redrape_cd_cm", "openings_cm", "strict_within_1cm")
+    values = {name: [row.values[key] for key in names] for name, row in rows.items()}
+    assert values["same"] == pytest.approx([1, 0, 0, 1], abs=1e-6)
+    for name in ("short", "small", "mirrored"):
+        passed, mean, openings, right = values[name]
+        assert passed == 1
+        assert mean < 1.0  # what a mean distance of the surfaces accepts
+        assert openings > 1.5
+        assert right == rows[name].values["strict_unaided"] == 0
+    assert values["broken"] == values["none"] == [0, WORST, WORST, 0]
     assert rows["none"].failure == "no prediction"
 
 
