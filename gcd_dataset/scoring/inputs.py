@@ -179,8 +179,8 @@ class TaskFolder:
         frozen = FROZEN[self.mini]
         if not patterns.agrees(frozen["patterns"]) or bodies.hexdigest() != frozen["bodies"]:
             raise SpecError(
-                fX
-                "in another folder; if it differs again, report it with gcd --version"
+                f"{self.path}: patterns or bodies differ from the frozen test set: make it again with gcd bench "
+                "inputs, in another folder; if it differs again, report it with gcd --version"
             )
 
 
