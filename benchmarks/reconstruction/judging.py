@@ -17,7 +17,7 @@ from gcd_dataset.generator.drawing import contact_sheet, draw_pattern
 from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.measurements import ANGLES, MEASURES
 from gcd_dataset.metrics import bootstrap_means
-from gcd_dataset.scoring.evaluate import scores_of
+from gcd_dataset.scoring.garments import scores_of
 from gcd_dataset.spec import write_pattern
 
 SHOWN = 8  # garments in pictures

@@ -57,7 +57,7 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY
 from gcd_dataset.generator.render import render
 from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores
 from gcd_dataset.records import Pattern
-from gcd_dataset.scoring.evaluate import scores_of
+from gcd_dataset.scoring.garments import scores_of
 from gcd_dataset.scoring.table import UNITS
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.workers import parallel_map

@@ -130,6 +130,10 @@ TASKS: Mapping[str, BoardTask] = {
 }
 
 
+INPUT_DRAPES: Mapping[str, bool] = {"T1": False, "T1-scan": True}
+"""Tasks whose inputs are points of drapes, and whether these show a part of the garment only."""
+
+
 def task_named(name: str) -> BoardTask:
     """The task. Raises ``ConfigError`` for an unknown name."""
     if name not in TASKS:

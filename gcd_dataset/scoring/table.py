@@ -75,8 +75,8 @@ def summaries_by_kind(garments: Sequence["Scored"]) -> dict[str, list[Summary]]:
     return {kind: summaries(own) for kind, own in sorted(kinds.items(), key=lambda item: (-len(item[1]), item[0]))}
 
 
-def line_of(figure: Summary, prefix: str = "evaluate") -> str:
-    """``evaluate.iou 0.91 share [0.88, 0.93] median 0.95``."""
+def line_of(figure: Summary, prefix: str = "score") -> str:
+    """``score.iou 0.91 share [0.88, 0.93] median 0.95``."""
     mean, low, high, median = (
         f"{round(value, DIGITS):.4g}" for value in (figure.mean, figure.low, figure.high, figure.median)
     )
@@ -103,7 +103,6 @@ def tree_of(
     garments: Sequence["Scored"],
     figures: Sequence[Summary],
     by_kind: Mapping[str, Sequence[Summary]],
-    presets: Mapping[str, Mapping[str, float]],
     settings: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Figures, garments and settings as a JSON tree."""
@@ -118,7 +117,6 @@ def tree_of(
         "settings": dict(settings),
         "figures": entries(figures),
         "by_kind": {kind: entries(rows) for kind, rows in by_kind.items()},
-        "presets": {preset: dict(scores) for preset, scores in presets.items()},
         "garments": [
             {
                 "name": garment.name,

@@ -11,8 +11,8 @@ import pytest
 
 from benchmarks.reconstruction import compare
 from benchmarks.reconstruction.compare import LEAST_GARMENTS, Difference, ModelScores, differences, main, read_scores
+from gcd_dataset.cli import main as gcd
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.scoring.evaluate import main as evaluate
 from gcd_dataset.scoring.table import EVALUATION, REPORT, SCORES
 from gcd_dataset.spec import write_pattern
 from tests.benchmarks.reconstruction.toys import t_shirt, tube
@@ -133,14 +133,14 @@ def test_files_of_the_evaluator_are_compared(
         write_pattern(tube(), better / f"{name}.json")
     (worse / "0.json").write_text("{}")  # and no file of the others: all fail
     for folder in (better, worse):
-        assert evaluate([str(folder), str(truth), "--quiet", "--json", f"{folder}.json"]) == 0
+        assert gcd(["score", str(folder), str(truth), "--quiet", "--json", f"{folder}.json"]) == 0
     capsys.readouterr()
     assert main([f"{worse}.json", f"{better}.json"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "compare.garments 2 garments"
     assert "compare.iou +1 [+1, +1] from 0 to 1 better" in lines
     write_pattern(t_shirt(), truth / "0.json")
-    assert evaluate([str(better), str(truth), "--quiet", "--json", f"{better}.json"]) == 0
+    assert gcd(["score", str(better), str(truth), "--quiet", "--json", f"{better}.json"]) == 0
     assert main([f"{worse}.json", f"{better}.json"]) == 1
     assert "better.json: hash of truth: " in capsys.readouterr().err
 
