@@ -29,7 +29,7 @@ from benchmarks.reconstruction.results import (
     read_entries,
     shown,
 )
-from benchmarks.reconstruction.tasks import TASKS
+from benchmarks.reconstruction.tasks import TASKS, task_named
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import write_whole
 
@@ -159,7 +159,7 @@ def _ranking(entries: Sequence[Entry], names: Sequence[str]) -> list[str]:
     if not entries:
         return []
     validated = [e for e in entries if e.validation and not e.outside]
-    sign = -1 if HEADLINES.get(entries[0].task, USUAL)[0] in LOWER else 1
+    sign = -1 if task_named(entries[0].task).headline in LOWER else 1
     record = max(validated, key=lambda e: sign * e.validation[0], default=None)
     budgets = list(dict.fromkeys(e.budget for e in entries if not e.outside))
     rows = []

@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -164,44 +164,37 @@ def _read(path: Path) -> dict[str, Any]:
 def _of(found: Mapping[str, Any], path: Path) -> Entry:
     shared = ("parameters", "steps", "command", "commit", "date")
     facts = {name: found[name] for name in shared if name in found} | {"hardware": found.get("device", "unknown")}
-    remark = str(found.get("remark", ""))
     try:
         facts |= {f"{name} set": _data(part) for name, part in found["data"].items()}
-        if "one_to_one" in found:
-            arguments = found["arguments"]
-            variants = [name for name in ("one_round",) if arguments.get(name)]
-            variants += _unusual(arguments, _usual_of_stitches())
-            tables = {title: _scores(found[name]) for name, title in TABLES.items() if name in found}
-            if "foreign" in found:
-                tables[f"{FOREIGN}, {found['foreign']['garments']} patterns"] = _scores(found["foreign"])
-            name = " ".join(["stitches", *variants])
-            scores, kinds = _scores_of_seams(found), _kinds_of_seams(found)
-            left_out = arguments.get("leave_out", "")
-            tables |= _tables_of(kinds)
-            minutes = found["train_s"] / 60
-            train = int(arguments["train"])
-            return Entry(
-                "T3", name, train, minutes, scores, facts, tables, kinds, left_out, remark=remark, **_tests(found),
-                steps=int(arguments.get("steps", 0)), asked=float(arguments.get("minutes", 0)),
-                validation=_validation(found, scores),
-            )  # fmt: skip
-        options, kinds = found.get("options", {}), found["scores_of_kinds"]
+        tables = {title: _scores(found[name]) for name, title in TABLES.items() if name in found}
+        if "foreign" in found:
+            tables[f"{FOREIGN}, {found['foreign']['garments']} patterns"] = _scores(found["foreign"])
+        if of_seams := "one_to_one" in found:
+            task, scores, kinds = "T3", _scores_of_seams(found), _kinds_of_seams(found)
+        else:
+            task, scores, kinds = found["task"], found["scores"], found["scores_of_kinds"]
+        options = found["arguments"] if "arguments" in found else found.get("options", {})
         left_out, count = options.get("leave_out", ""), int(found["data"]["train"]["count"])
         train = int(options.get("train") or count)
-        if count < LEAST_MADE * train and not left_out:
+        if count < LEAST_MADE * train and not left_out and not of_seams:
             train = count  # a folder may hold fewer garments than asked for
-        unusual = _unusual(options, _usual_of(found["model"]))
-        model = " ".join(
-            [found["model"], *(f"{name}={size}" for name, size in options.get("sizes", {}).items()), *unusual]
-        )
+        minutes = found["minutes"] if "minutes" in found else found["train_s"] / 60
         return Entry(
-            found["task"], model, train, found["minutes"], found["scores"], facts, _tables_of(kinds), kinds,
-            left_out, int(found.get("fresh", 0)), remark, **_tests(found),
+            task, _model_of(found, options), train, minutes, scores, facts, tables | _tables_of(kinds), kinds, left_out,
+            int(found.get("fresh", 0)), str(found.get("remark", "")), **_tests(found),
             steps=int(options.get("steps", 0)), asked=float(options.get("minutes", 0)),
-            validation=_validation(found, HEADLINES.get(found["task"], USUAL)),
+            validation=tuple(found.get("validation", {}).get("scores", {}).get(task_named(task).headline, ())),
         )  # fmt: skip
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ConfigError(f"{path}: {error!r}: no report of this version: train again") from error
+
+
+def _model_of(found: Mapping[str, Any], options: Mapping[str, Any]) -> str:
+    """The model with its unusual options."""
+    model = found.get("model", "stitches")
+    usual = _usual_of_stitches() if "arguments" in found else _usual_of(model)
+    sizes = [f"{name}={size}" for name, size in options.get("sizes", {}).items()]
+    return " ".join([model, *sizes, *(["one_round"] if options.get("one_round") else []), *_unusual(options, usual)])
 
 
 def _unusual(given: Mapping[str, Any], usual: Mapping[str, Any]) -> list[str]:
@@ -280,12 +273,6 @@ def _of_seams(table: Mapping[str, Any], title: str) -> dict[str, Any]:
     """F1 of the seams, and the share of the garments with all seams right, up to panels of equal shape."""
     names = {"perfect": "perfect_symmetric", "f1": "f1_symmetric"}
     return {f"{title}_{name}": table[own] for name, own in names.items() if own in table}
-
-
-def _validation(found: Mapping[str, Any], names: Iterable[str]) -> Sequence[float]:
-    """The first of these scores on the validation set; none if the report has none."""
-    scores = found.get("validation", {}).get("scores", {})
-    return next((scores[name] for name in names if name in scores), ())
 
 
 def ranked(entries: Sequence[Entry]) -> list[Entry]:

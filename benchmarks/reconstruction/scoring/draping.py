@@ -121,9 +121,7 @@ def with_drapes(
         while row < len(garments) and all((row, way) in draped for way in (TRUE, AIDED, UNAIDED)):
             yield _scored(garments[row], row, draped, inputs, partial)
             row += 1
-    while row < len(garments):
-        yield _scored(garments[row], row, draped, inputs, partial)
-        row += 1
+    yield from (_scored(garments[rest], rest, draped, inputs, partial) for rest in range(row, len(garments)))
 
 
 @dataclass(frozen=True)
