@@ -45,10 +45,11 @@ PROGRAMS = (
 )
 NOTES: Mapping[str, str] = {
     **dict.fromkeys(("T0", "T1", "T1-scan"), PROGRAMS),
-    "T3": "`joined`: edges joined wherever possible, as a tailor draws them, scored on the seams of their parts; "
-    "`subdivided`: edges cut in advance where seams end, which is easier. `perfect`: share of the garments with all "
-    "seams right; `f1`: of seams. Both accept answers with panels of equal shape exchanged: nothing tells these apart. "
-    "`freesewing_whole`: patterns of FreeSewing with all seams right, of 90; no training sees them.",
+    "T3": "`joined`: edges joined wherever possible, as a tailor draws them, scored on the seams of their parts, over "
+    "the garments with such edges; `subdivided`: edges cut in advance where seams end, which is easier. "
+    "`perfect`: share of the garments with all seams right; `f1`: of seams. Both accept answers with panels of "
+    "equal shape exchanged: nothing tells these apart. `freesewing_whole`: patterns of FreeSewing with all seams "
+    "right, of 90; no training sees them.",
 }
 
 

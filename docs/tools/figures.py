@@ -213,7 +213,7 @@ FIGURES = (
         lambda r: f"{100 * r.value('drape.passed'):.0f} %, on CPU and GPU",
     ),
     Figure(
-        "finished garments with pictures written into shards, on two bodies",
+        "finished garments with rendered pictures written into shards, on two bodies",
         "scale",
         lambda r: f"{r.value('scale.garments_per_s'):.1f} a second, {r.value('scale.joules'):.1f} J each",
         lambda r: (
@@ -223,7 +223,7 @@ FIGURES = (
         short=True,
     ),
     Figure(
-        "garments cut three sizes too small to three too large, with pictures, ease and maps, in shards",
+        "garments cut three sizes too small to three too large, with rendered pictures, ease and maps, in shards",
         "fits",
         lambda r: (
             f"{r.value('fits.garments_per_s'):.0f} a second; {100 * r.value('fits.right'):.1f} % settle or say how "
@@ -241,7 +241,7 @@ FIGURES = (
         short=True,
     ),
     Figure(
-        "pictures with materials, soft shadows and all truths, 4 views of each garment",
+        "rendered pictures with materials, soft shadows and all truths, 4 views of each garment",
         "render",
         lambda r: (
             f"{r.value('render.images_per_s'):.0f} a second of 256², {r.value('render.images_per_s_512'):.0f} of 512²"
