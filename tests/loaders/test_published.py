@@ -302,7 +302,7 @@ def test_a_broken_split_file_is_named(own: Path) -> None:
         PublishedGarmentCodeData(own)
 
 
-# ------------------------------------------------------------ the reference's patterns, draped by another solver (Newton)
+# --------------------------------------------------------- the reference's patterns, draped by another solver (Newton)
 
 
 def test_garments_of_the_reference_system_are_read_as_expected(examples: Path, tmp_path: Path) -> None:

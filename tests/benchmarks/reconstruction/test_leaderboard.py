@@ -90,7 +90,7 @@ def cells(page: str, model: str) -> dict[str, str]:
 
 def test_models_are_ranked_among_equal_budgets_only(tmp_path: Path) -> None:
     """Other numbers of garments, minutes or hardware, references and models below their published budget: not."""
-    alone = {"more": {"train": 9000}, "longer": {"minutes": 9.0}}
+    alone: dict[str, dict[str, Any]] = {"more": {"train": 9000}, "longer": {"minutes": 9.0}}
     for name, changed in alone.items():
         added(tmp_path, result("T1", name, 0.9, **changed))
     added(tmp_path, result("T1", "elsewhere", 0.9) | {"device": "cpu"})
