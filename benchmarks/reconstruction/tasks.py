@@ -106,9 +106,8 @@ class ReconstructionTask:
 
     def _making(self, data: Path | None, workers: int, changes: Mapping[str, Any]) -> dict[str, Any]:
         """The arguments of ``generated``."""
-        return {
-            "points": self.points, "extra": self.extra, "cache": data, "workers": workers, **self.options, **changes,
-        }  # fmt: skip
+        options = {**self.options, **changes}
+        return {"points": self.points, "extra": self.extra, "cache": data, "workers": workers, **options}
 
     def read(self, source: str, count: int, *, workers: int = 0, tested: int = 0) -> Split:
         """The garments of a folder or repository, split by design and body; ``count`` to train on.
