@@ -159,12 +159,10 @@ def _ranking(entries: Sequence[Entry], names: Sequence[str]) -> list[str]:
     """The scores of one test set, budget by budget, and what is not ranked; nothing without entries."""
     if not entries:
         return []
-    validated = [e for e in entries if e.validation and not e.outside]
     sign = -1 if task_named(entries[0].task).headline in LOWER else 1
-    record = max(validated, key=lambda e: sign * e.validation[0], default=None)
-    budgets = list(dict.fromkeys(e.budget for e in entries if not e.outside))
-    rows = []
-    for budget in budgets:
+    validated = [e for e in entries if e.validation and not e.outside]
+    record, rows = max(validated, key=lambda e: sign * e.validation[0], default=None), list[list[str]]()
+    for budget in dict.fromkeys(e.budget for e in entries if not e.outside):
         alike = ranked([e for e in entries if e.budget == budget and not e.outside])
         rows += [_row(str(k) if len(alike) > 1 else "–", e, names, record) for k, e in enumerate(alike, 1)]
     rows += [_row(e.outside, e, names, None) for e in entries if e.outside]
@@ -233,9 +231,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _fact(name: str, value: Any) -> str:
-    if name == "command":
-        return f"`{value}`"
-    return f"{value:,}" if isinstance(value, int) else str(value)
+    return f"`{value}`" if name == "command" else f"{value:,}" if isinstance(value, int) else str(value)
 
 
 if __name__ == "__main__":

@@ -255,10 +255,9 @@ def _scores(table: Mapping[str, Any]) -> dict[str, list[float]]:
 def _scores_of_seams(found: Mapping[str, Any]) -> dict[str, list[float]]:
     """The scores of T3: joined edges first, then edges subdivided as drawn, then FreeSewing's patterns."""
     scores = {**_of_seams(found.get("several", {}), "joined"), **_of_seams(found["one_to_one"], "subdivided")}
-    if found.get("foreign", {}).get("garments") == FREESEWING:  # other numbers do not compare
-        foreign = _of_seams(found["foreign"], "freesewing")
-        scores["freesewing_whole"] = [FREESEWING * value for value in foreign.pop("freesewing_perfect")]
-        scores |= foreign
+    if (foreign := found.get("foreign", {})).get("garments") == FREESEWING:  # other numbers do not compare
+        whole = [FREESEWING * value for value in foreign["perfect_symmetric"]]
+        scores |= {"freesewing_whole": whole, "freesewing_f1": foreign["f1_symmetric"]}
     return scores
 
 
