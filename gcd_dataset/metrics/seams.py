@@ -48,7 +48,7 @@ def seam_counts(predicted: Pattern, true: Pattern, pairs: Sequence[PanelPair]) -
     true_edge = {ref: other for pair in pairs for ref, other in matched_edges(pair).items()}
     found = {frozenset((true_edge.get(s.left), true_edge.get(s.right))): s.right_wrong for s in predicted.seams}
     wanted = {frozenset((seam.left, seam.right)): seam.right_wrong for seam in true.seams}
-    right = [found[edges] == wanted[edges] for edges in found.keys() & wanted.keys()]
+    right = [found[edges] == directed for edges, directed in wanted.items() if edges in found]
     return len(right), sum(right), len(predicted.seams), len(true.seams)
 
 

@@ -121,9 +121,7 @@ def with_drapes(
         while row < len(garments) and all((row, way) in draped for way in (TRUE, AIDED, UNAIDED)):
             yield _scored(garments[row], row, draped, inputs, partial)
             row += 1
-    while row < len(garments):
-        yield _scored(garments[row], row, draped, inputs, partial)
-        row += 1
+    yield from (_scored(garments[rest], rest, draped, inputs, partial) for rest in range(row, len(garments)))
 
 
 @dataclass(frozen=True)
@@ -141,11 +139,11 @@ class _Preparation:
         jobs = [self._job(row, TRUE, true, self.wearers, name, legs_apart)]
         if answer is None or not garment.values["valid"]:
             return jobs + [_Job(row, way, None, garment.failure or "not valid") for way in (AIDED, UNAIDED)]
-        return [
-            *jobs,
-            self._job(row, AIDED, arranged(answer, true), self.wearers, name, legs_apart),
-            self._job(row, UNAIDED, answer, self.own, name, _has_legs(answer, self.own, name)),
-        ]
+        jobs.append(self._job(row, AIDED, arranged(answer, true), self.wearers, name, legs_apart))
+        try:
+            return [*jobs, self._job(row, UNAIDED, answer, self.own, name, _has_legs(answer, self.own, name))]
+        except BodyError as error:
+            return [*jobs, _Job(row, UNAIDED, None, str(error))]
 
     def _job(self, row: int, way: int, pattern: Pattern, wearers: Wearers, name: str, legs_apart: bool) -> _Job:
         body, size = wearers.wearer(name, legs_apart=legs_apart)
@@ -194,6 +192,7 @@ def _scored(
     target: Shape | None = true.surface if inputs is None else inputs[garment.name]
     remarks = [f"drape of the prediction: {aided.reason}"] if aided.reason and not garment.failure else []
     remarks += [f"drape of the true pattern: {true.reason}"] if true.reason else []
+    remarks += [f"drape without help: {unaided.reason}"] if unaided.reason and not aided.reason else []
     alike = garment.predicted is not None and panels_alike(garment.predicted, garment.true)
 
     def compared(drape: _Draped) -> tuple[float, float, bool]:
@@ -243,7 +242,8 @@ def arranged(predicted: Pattern, true: Pattern) -> Pattern:
         taken.add(name)
         panels.append(replace(panel, name=name))
         refs |= _renumbered(panel, name, 0)
-    return Pattern(true.name, tuple(panels), _ordered([_moved(seam, refs) for seam in predicted.seams], true.seams))
+    seams = [Seam(refs[seam.left], refs[seam.right], seam.right_wrong) for seam in predicted.seams]
+    return Pattern(true.name, tuple(panels), _ordered(seams, true.seams))
 
 
 def _first_edge(pair: PanelPair) -> int:
@@ -256,10 +256,6 @@ def _first_edge(pair: PanelPair) -> int:
 def _renumbered(panel: Panel, name: str, first: int) -> dict[EdgeRef, EdgeRef]:
     count = len(panel.edges)
     return {EdgeRef(panel.name, edge): EdgeRef(name, (edge - first) % count) for edge in range(count)}
-
-
-def _moved(seam: Seam, refs: Mapping[EdgeRef, EdgeRef]) -> Seam:
-    return Seam(refs[seam.left], refs[seam.right], seam.right_wrong)
 
 
 def _ordered(seams: Sequence[Seam], true: Sequence[Seam]) -> tuple[Seam, ...]:

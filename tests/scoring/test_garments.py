@@ -15,7 +15,7 @@ from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.records import Edge, Panel, Pattern, Placement, Seam
 from gcd_dataset.scoring.answers import AnswerReader
-from gcd_dataset.scoring.bodies import wearers_of
+from gcd_dataset.scoring.bodies import Wearers, wearers_of
 from gcd_dataset.scoring.distances import (
     WORST,
     Cloud,
@@ -190,6 +190,14 @@ def test_bodies_of_a_folder(tmp_path: Path) -> None:
     assert np.ptp(male.vertices[:, 1]) > np.ptp(build_body(neutral_shape()).vertices[:, 1])
 
 
+def test_an_answer_without_a_body_of_its_own_is_worn_by_the_neutral_one(tmp_path: Path) -> None:
+    shape = draw_shape(np.random.default_rng(3))
+    np.save(tmp_path / "dress.npy", shape.weights)
+    own = Wearers(tmp_path, "neutral", {})
+    assert own.wearer("dress", legs_apart=False)[1].height == pytest.approx(measure(build_body(shape)).height)
+    assert own.wearer("cape", legs_apart=False)[1] == wearers_of("neutral").wearer("cape", legs_apart=False)[1]
+
+
 def test_missing_and_broken_bodies(tmp_path: Path) -> None:
     np.save(tmp_path / "dress.npy", np.zeros(3))
     wearers = wearers_of(str(tmp_path))
@@ -253,7 +261,7 @@ def test_panels_turned_inside_out_are_not_alike() -> None:
 
 
 @pytest.mark.long
-def test_predictions_are_draped_and_compared_with_the_true_drape(skirt: Pattern) -> None:
+def test_predictions_are_draped_and_compared_with_the_true_drape(skirt: Pattern, tmp_path: Path) -> None:
     """A skirt that is lower on one side: the same one otherwise numbered, one 3 cm too short, one scaled by 0.95, its
     mirror image, one that cannot be sewn, and none. Only the first is right."""
 
@@ -277,8 +285,9 @@ def test_predictions_are_draped_and_compared_with_the_true_drape(skirt: Pattern)
         "none": None,
     }
     scored = [score_garment(name, pattern, true, spacing=8.0) for name, pattern in answers.items()]
-    neutral = wearers_of("neutral")
-    rows = {r.name: r for r in with_drapes(scored, neutral, own=neutral, spacing=8.0, device="cpu")}
+    np.save(tmp_path / "short.npy", np.zeros(3))  # no body: an answer that brings one stops nothing
+    own = Wearers(tmp_path, "neutral", {})
+    rows = {r.name: r for r in with_drapes(scored, wearers_of("neutral"), own=own, spacing=8.0, device="cpu")}
     assert list(rows) == list(answers)
     names = ("sim_ok", "redrape_cd_cm", "openings_cm", "strict_within_1cm")
     values = {name: [row.values[key] for key in names] for name, row in rows.items()}
@@ -289,5 +298,7 @@ def test_predictions_are_draped_and_compared_with_the_true_drape(skirt: Pattern)
         assert mean < 1.0  # what a mean distance of the surfaces accepts
         assert openings > 1.5
         assert right == rows[name].values["strict_unaided"] == 0
+    assert rows["same"].values["strict_unaided"] == 1
+    assert "drape without help" in rows["short"].remarks[-1]
     assert values["broken"] == values["none"] == [0, WORST, WORST, 0]
     assert rows["none"].failure == "no answer"

@@ -116,9 +116,9 @@ def test_rows_are_matched_by_garment_and_scores_by_name(tmp_path: Path, capsys: 
 def test_a_folder_with_scores_of_the_evaluator_has_these(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folders = [run_folder(tmp_path / name, equal(0.2)) for name in "ab"]
     for out, exact in zip(folders, (0.0, 1.0), strict=True):
-        evaluated(out / EVALUATION, [{"within_1cm": exact}] * LEAST_GARMENTS, drape=True)
+        evaluated(out / EVALUATION, [{"strict_within_1cm": exact}] * LEAST_GARMENTS, drape=True)
     assert main([str(out) for out in folders]) == 0
-    assert capsys.readouterr().out.splitlines()[1:] == ["compare.within_1cm +1 [+1, +1] from 0 to 1 better"]
+    assert capsys.readouterr().out.splitlines()[1:] == ["compare.strict_within_1cm +1 [+1, +1] from 0 to 1 better"]
 
 
 def test_files_of_the_evaluator_are_compared(
