@@ -1,6 +1,5 @@
 """Run a benchmark: prints one line per figure, ``case.metric value unit``, and writes a report on request.
 
-python -m benchmarks.run reconstruction --smoke
 python -m benchmarks.run patterns --count 1000 --keep
 """
 

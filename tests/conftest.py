@@ -28,7 +28,10 @@ def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def examples() -> Path:
-    """Patterns, meshes and bodies of the reference system, from outside this repository."""
+    """Patterns, meshes and bodies of the reference system, from outside this repository.
+
+    ``published`` holds its patterns in the published layout, draped by another solver (Newton): no drape is ETH's.
+    """
     if not EXAMPLES.is_dir():
         pytest.skip("the reference examples are not beside this checkout")
     return EXAMPLES

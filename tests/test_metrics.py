@@ -22,7 +22,7 @@ from gcd_dataset.metrics import (
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import euler_angles, read_pattern
 
-PERFECT = PatternScore(1, 1, 1, 1, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0)
+PERFECT = PatternScore(1, 1, 1, 1, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0)
 
 
 def panel(
@@ -144,7 +144,7 @@ def test_the_last_panel_of_real_garments_is_missing(examples: Path) -> None:
         assert (score.iou, score.edge_count_acc, score.panel_f1) == pytest.approx(
             (share, share, 2 * (n - 1) / (2 * n - 1))
         )
-        assert (score.panel_l2, score.topology_exact) == pytest.approx((0, 0), abs=1e-9)
+        assert (score.panel_l2, score.combinatorial) == pytest.approx((0, 0), abs=1e-9)
         counts.append(n)
         found.append(score.stitch_f1)
     assert counts == [6, 6, 12, 8]
@@ -179,7 +179,7 @@ def test_an_edge_cut_in_two_changes_the_edge_count_alone() -> None:
         seams=(),
     )
     score = score_pattern(split(straight, "front"), straight)
-    assert_close(score, replace(PERFECT, edge_count_acc=2 / 3, topology_exact=0))
+    assert_close(score, replace(PERFECT, edge_count_acc=2 / 3, combinatorial=0, edges_within_1cm=0))
 
 
 # ---------------------------------------------------------------------------------------------------------- n:m seams
@@ -228,7 +228,7 @@ def test_subdividing_the_edges_of_a_seam_keeps_the_seam_by_length(change: str) -
     for predicted, true in ((parts, whole), (whole, parts)):
         score = score_pattern(predicted, true)
         assert (score.stitch_nm_p, score.stitch_nm_r, score.stitch_nm_f1) == pytest.approx((1, 1, 1))
-        assert (score.stitch_f1 < 1, score.topology_exact) == (True, 0)
+        assert (score.stitch_f1 < 1, score.combinatorial) == (True, 0)
 
 
 def square(width: float, height: float) -> Pattern:
@@ -238,6 +238,8 @@ def square(width: float, height: float) -> Pattern:
 G, PAIR, GATHERED = garment(), rectangles(30.0, 30.0), rectangles(40.0, 30.0, seams=((0, 0), (1, 1)))
 THIRD = subdivided(PAIR, 0, 1 / 3)
 LOW = replace(G.panels[1], vertices=G.panels[1].vertices * [1.0, 0.75])
+TURNED = replace(G, seams=tuple(replace(seam, right_wrong=True) for seam in G.seams))
+SMALL = each(lambda panel: replace(panel, vertices=0.6 * panel.vertices))(G)
 NOWHERE = Seam(EdgeRef("front", 9), EdgeRef("nobody", 0))
 SCORES: list[tuple[Pattern, Pattern, dict[str, float]]] = [
     # A panel is missing, one is too many, a quarter is cut off one.
@@ -246,11 +248,11 @@ SCORES: list[tuple[Pattern, Pattern, dict[str, float]]] = [
          "stitch_f1": 0.8}),
     (replace(G, panels=(*G.panels, replace(G.panels[0], name="extra"))), G, {"panel_count_acc": 0, "iou": 3 / 4}),
     (replace(G, panels=(G.panels[0], LOW, G.panels[2])), G,
-        {"panel_f1": 2 / 3, "panel_count_acc": 1, "topology_exact": 1}),
+        {"panel_f1": 2 / 3, "panel_count_acc": 1, "combinatorial": 1, "edges_within_1cm": 0}),
     # A seam is not there; one is missing; all are.
     (replace(G, seams=(*G.seams, Seam(EdgeRef("front", 2), EdgeRef("sleeve", 0)))), G,
         {"stitch_p": 3 / 4, "stitch_r": 1}),
-    (replace(G, seams=G.seams[1:]), G, {"garment_perfect": 0, "topology_exact": 0, "panel_f1": 1}),
+    (replace(G, seams=G.seams[1:]), G, {"garment_perfect": 0, "combinatorial": 0, "panel_f1": 1}),
     (replace(G, seams=()), G, {"seam_mismatch": 1}),
     # 40 cm are sewn to 30 cm, and 20 cm to 20 cm: (1/4 + 0) / 2.
     (GATHERED, GATHERED, {"seam_mismatch": 0.125}),
@@ -260,6 +262,9 @@ SCORES: list[tuple[Pattern, Pattern, dict[str, float]]] = [
         {"valid": 0, "iou": 0.5}),
     # Every point of the outline moves by 10 % of its radius; the mean radius of a square of side 2 is 1.1478.
     (square(22, 22), square(20, 20), {"panel_l2": (np.sqrt(2) + np.arcsinh(1)) / 2}),
+    # All seams turned: the right edges, the wrong ends. All lengths times 0.6.
+    (TURNED, G, {"garment_perfect": 1, "combinatorial": 0, "edges_within_1cm": 0}),
+    (SMALL, G, {"garment_perfect": 1, "combinatorial": 1, "edges_within_1cm": 0}),
     # By length: the first third of a seam alone; a wrong seam of 20 cm beside one of 30; a twisted one; to no edge.
     (replace(THIRD, seams=THIRD.seams[:1]), PAIR, {"stitch_nm_p": 1, "stitch_nm_r": 1 / 3, "stitch_nm_f1": 1 / 2}),
     (rectangles(30.0, 30.0, seams=((0, 0), (1, 1))), PAIR, {"stitch_nm_p": 3 / 5, "stitch_nm_r": 1}),
@@ -275,6 +280,13 @@ SCORES: list[tuple[Pattern, Pattern, dict[str, float]]] = [
 def test_scores_by_hand(predicted: Pattern, true: Pattern, expected: dict[str, float]) -> None:
     score = asdict(score_pattern(predicted, true))
     assert {name: score[name] for name in expected} == pytest.approx(expected, rel=1e-3, abs=1e-9)
+
+
+def test_every_edge_within_1_cm_is_within_1_cm() -> None:
+    """A square with sides 1.9 cm longer has its corners 1.34 cm further out, one with sides 1.3 cm longer 0.92 cm."""
+    for longer, right in ((1.3, 1), (1.9, 0)):
+        score = score_pattern(square(20 + longer, 20 + longer), square(20, 20))
+        assert (score.combinatorial, score.edges_within_1cm) == (1, right)
 
 
 def test_the_penalty_of_a_missing_panel_is_its_mean_radius_over_all_panels() -> None:

@@ -64,7 +64,6 @@ CASES: Mapping[str, str] = {
     "parity": "benchmarks.cases.parity",
     "patterns": "benchmarks.cases.patterns",
     "pictures_matter": "benchmarks.reconstruction.picture_training",
-    "reconstruction": "benchmarks.cases.reconstruction",
     "remote": "benchmarks.cases.remote",
     "render": "benchmarks.cases.render",
     "scale": "benchmarks.cases.scale",

@@ -28,12 +28,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reconstruction.scoring.table import EVALUATION, REPORT, SCORES, TIMES, UNITS
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import discard_stdout, read_whole
 from gcd_dataset.jsonfile import LARGEST_JSON, read_json
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics import bootstrap_means
+from gcd_dataset.scoring.table import EVALUATION, REPORT, SCORES, TIMES, UNITS
 
 LEAST_GARMENTS = 30  # of fewer, bootstrap intervals are too narrow: 12 % of equal models would differ on 8 garments
 DIGITS = 6  # decimals: differences of rounding errors count as 0

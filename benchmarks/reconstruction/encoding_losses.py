@@ -31,7 +31,7 @@ AGAIN: Mapping[str, Callable[[Pattern], Pattern]] = {
 }
 """Encoding to encode and decode in its published size, with the thresholds of its code."""
 
-COLUMNS = ("edge_count_acc", "iou", "panel_l2", "rot_deg", "stitch_f1", "topology_exact")
+COLUMNS = ("edge_count_acc", "iou", "panel_l2", "rot_deg", "stitch_f1", "combinatorial")
 
 
 def losses_of(again: Callable[[Pattern], Pattern], patterns: Sequence[Pattern]) -> tuple[float, Mapping[str, float]]:

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from benchmarks.reconstruction.derived import CENTRE
-from benchmarks.reconstruction.evaluate import scores_of
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.tasks import ReconstructionTask
 from gcd_dataset.files import make_folder, open_whole, write_whole
@@ -18,6 +17,7 @@ from gcd_dataset.generator.drawing import contact_sheet, draw_pattern
 from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.measurements import ANGLES, MEASURES
 from gcd_dataset.metrics import bootstrap_means
+from gcd_dataset.scoring.garments import scores_of
 from gcd_dataset.spec import write_pattern
 
 SHOWN = 8  # garments in pictures

@@ -4,13 +4,13 @@
     python -m benchmarks.reconstruction.leaderboard --add OUT/report.json --command "python -m … --out OUT"
 
 ``--add`` copies the results of ``train`` or ``stitching.run`` into ``benchmarks/reports/learning``, with command,
-commit and date; smoke runs are refused. From the files there the reports ``learning_T0.md`` …, their curves over the
-number of garments and ``leaderboard.md`` are written. Models are ranked on one test set for each task; results on other
-garments have tables of their own.
+commit and date; smoke runs are refused. From the files there the reports ``learning_T0.md`` … and ``leaderboard.md``
+are written. Models are ranked on one test set for each task, among those with the same budget: garments, length and
+hardware of the training. Results on other garments have tables of their own. The record of a task is the entry with the
+best headline on the validation set (``ReconstructionTask.validation``), which a report has as ``validation``.
 """
 
 import argparse
-import io
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -18,16 +18,24 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from benchmarks.reconstruction.results import HEADLINES, USUAL, Entry, add, by_test_set, read_entries, shown
-from benchmarks.reconstruction.tasks import TASKS
+from benchmarks.reconstruction.results import (
+    HEADLINES,
+    LOWER,
+    USUAL,
+    Entry,
+    add,
+    by_test_set,
+    ranked,
+    read_entries,
+    shown,
+)
+from benchmarks.reconstruction.tasks import TASKS, task_named
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import write_whole
 
 REPORTS = Path(__file__).resolve().parents[1] / "reports"
 RESULTS = "learning"
-CURVES, COLUMNS = 3, 5  # of the scores of ``HEADLINES``: drawn and shown by kind, and in the table of all tasks
-COLOURS, MARKS = 10, "os^Dv*"  # of the lines of curves
-LABEL_APART = 1.3  # least ratio of neighbouring tick labels on a logarithmic axis
+OF_KINDS = 3  # scores of ``HEADLINES`` that are shown for a kind left out
 PROGRAMS = (
     "`parameters` draws its answers with the programs that drew the test garments; on patterns of other origin it "
     "answers with similar ones that they draw. Where no remark says otherwise, its answers are means over all points "
@@ -37,8 +45,11 @@ PROGRAMS = (
 )
 NOTES: Mapping[str, str] = {
     **dict.fromkeys(("T0", "T1", "T1-scan"), PROGRAMS),
-    "T3": "`f1` compares edges by name; `f1_symmetric` accepts answers in which panels of equal shape are exchanged, "
-    "since nothing tells these apart. `f1_several` counts only seams of more than one edge on a side.",
+    "T3": "`joined`: edges joined wherever possible, as a tailor draws them, scored on the seams of their parts, over "
+    "the garments with such edges; `subdivided`: edges cut in advance where seams end, which is easier. "
+    "`perfect`: share of the garments with all seams right; `f1`: of seams. Both accept answers with panels of "
+    "equal shape exchanged: nothing tells these apart. `freesewing_whole`: patterns of FreeSewing with all seams "
+    "right, of 90; no training sees them.",
 }
 
 
@@ -49,22 +60,14 @@ def pages(entries: Sequence[Entry]) -> dict[str, str]:
     return {**found, "leaderboard.md": _leaderboard(entries)}
 
 
-def curves(entries: Sequence[Entry]) -> dict[str, bytes]:
-    """File name to PNG: the first scores of a task against the garments trained on, if these differ in number."""
-    tasks = dict.fromkeys(entry.task for entry in entries)
-    own = {task: by_test_set([e for e in entries if e.task == task])[0] for task in tasks}
-    return {_curve_file(task): _drawn(task, some) for task, some in own.items() if _has_curve(some)}
-
-
 def write_pages(reports: Path) -> list[Path]:
     """Write the reports of the results in a folder; the files. Raises ``ConfigError`` if there are none."""
     entries = read_entries(reports / RESULTS)
     if not entries:
         raise ConfigError(f"{reports / RESULTS} has no results: give --add OUT/report.json")
-    texts = {name: text.encode() for name, text in pages(entries).items()}
-    written = {**texts, **curves(entries)}
-    for name, data in written.items():
-        write_whole(reports / name, data)
+    written = pages(entries)
+    for name, text in written.items():
+        write_whole(reports / name, text.encode())
     return [reports / name for name in written]
 
 
@@ -104,10 +107,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _first_scores(task: str, entries: Sequence[Entry], most: int = CURVES) -> list[str]:
-    """Names of the scores that tables and curves show, the headline first."""
-    names = [name for name in HEADLINES.get(task, USUAL) if any(e.score(name) for e in entries)]
-    return names[:most]
+def _first_scores(task: str, entries: Sequence[Entry]) -> list[str]:
+    """Names of the first scores that an entry has, the headline first."""
+    return [name for name in HEADLINES.get(task, USUAL) if any(e.score(name) for e in entries)][:OF_KINDS]
 
 
 # -------------------------------------------------------------------------------------------------------------- writing
@@ -116,8 +118,9 @@ def _first_scores(task: str, entries: Sequence[Entry], most: int = CURVES) -> li
 def _page(task: str, entries: Sequence[Entry]) -> str:
     """The report of a task."""
     whole, *others = by_test_set(entries)
-    names = list(dict.fromkeys(name for own in (whole, *others) for entry in own for name in entry.scores))
-    parts = [f"# {task}", _about(task), *_ranking(whole, names), *_over_size(task, whole)]
+    further = (name for own in (whole, *others) for entry in own for name in entry.scores)
+    names = list(dict.fromkeys([*HEADLINES.get(task, USUAL), *further]))
+    parts = [f"# {task}", _about(task), *_ranking(whole, names)]
     parts += [*_on_others(others, names), *_left_out(task, entries)]
     for entry in entries:
         without = f", without {entry.left_out}" if entry.left_out else ""
@@ -136,25 +139,44 @@ def _page(task: str, entries: Sequence[Entry]) -> str:
 def _leaderboard(entries: Sequence[Entry]) -> str:
     lines = [
         "# Leaderboard",
-        "The scores of each task that its report puts first; means with 95 % intervals. A table ranks models that were "
-        "tested on the same garments. Scores of patterns: [definitions](../../docs/evaluate.md#scores).",
+        "The scores of each task that its report puts first: means with 95 % intervals over the test garments; of "
+        "several seeds, the mean with the lowest and the highest. `rank` compares models with the same garments, "
+        "length and hardware of the training; references, and models below their published budget, are not ranked. "
+        "A record is chosen on the validation set; a task without validated results has none. T1 and T3 ask for "
+        "three seeds: rows with one are provisional. Where a score has no figure, the answers were not kept: it "
+        "needs the next run on a GPU. Scores of patterns: [definitions](../../docs/evaluate.md#scores).",
     ]
     for task in dict.fromkeys(entry.task for entry in entries):
         own = [entry for entry in entries if entry.task == task]
         whole, *others = by_test_set(own)
-        names = _first_scores(task, own, COLUMNS)
+        names = HEADLINES.get(task, USUAL)
         lines += [f"## {task}", _about(task) + f" [Report](learning_{task}.md)."]
         lines += [*_ranking(whole, names), *_on_others(others, names), *_left_out(task, own)]
     return "\n\n".join(lines) + "\n"
 
 
 def _ranking(entries: Sequence[Entry], names: Sequence[str]) -> list[str]:
-    """The scores of one test set; nothing without entries."""
+    """The scores of one test set, budget by budget, and what is not ranked; nothing without entries."""
     if not entries:
         return []
-    rows = [[e.model, e.trained_on, _spent(e), *(e.score(name) for name in names)] for e in entries]
+    sign = -1 if task_named(entries[0].task).headline in LOWER else 1
+    validated = [e for e in entries if e.validation and not e.outside]
+    record, rows = max(validated, key=lambda e: sign * e.validation[0], default=None), list[list[str]]()
+    for budget in dict.fromkeys(e.budget for e in entries if not e.outside):
+        alike = ranked([e for e in entries if e.budget == budget and not e.outside])
+        rows += [_row(str(k) if len(alike) > 1 else "–", e, names, record) for k, e in enumerate(alike, 1)]
+    rows += [_row(e.outside, e, names, None) for e in entries if e.outside]
     about = f"Tested on {entries[0].tested:,} garments (patterns {entries[0].tests})."
-    return [about, _table(["model", "trained on", "minutes", *names], rows)]
+    head = ["rank", "model", "garments", "minutes", "weights", "hardware", "seeds", "validation", *names]
+    return [about, _table(head, rows)]
+
+
+def _row(rank: str, entry: Entry, names: Sequence[str], record: Entry | None) -> list[str]:
+    """``rank``: place among the models of this budget; a dash for one alone."""
+    weights = entry.facts.get("parameters", 0) / 1e6
+    budget = [entry.trained_on, _spent(entry), f"{weights:.1f} M" if weights else "", entry.budget[2]]
+    model = f"{entry.model} (**record**)" if entry is record else entry.model
+    return [rank, model, *budget, str(entry.seeds), shown(entry.validation), *(entry.score(name) for name in names)]
 
 
 def _spent(entry: Entry) -> str:
@@ -197,110 +219,6 @@ def _left_out(task: str, entries: Sequence[Entry]) -> list[str]:
     return [about, _table(head, rows)]
 
 
-# ----------------------------------------------------------------------------------------------------------- the curves
-
-
-def _over_size(task: str, entries: Sequence[Entry]) -> list[str]:
-    """Table and picture of the first scores against the number of garments."""
-    if not _has_curve(entries):
-        return []
-    sizes = sorted({entry.train + entry.fresh for entry in entries})
-    rows = []
-    for name in _first_scores(task, entries):
-        for model, own in _by_model(entries).items():
-            by_size = {entry.train + entry.fresh: entry.score(name) for entry in own}
-            rows.append([name, model, *(by_size.get(size, "") for size in sizes)])
-    about = "Score against the number of garments trained on, fresh ones included:"
-    head = ["score", "model", *(f"{size:,}" for size in sizes)]
-    return [about, _table(head, rows), f"![Score against the number of garments]({_curve_file(task)})"]
-
-
-def _has_curve(entries: Sequence[Entry]) -> bool:
-    """Whether a model was trained on sets of different sizes."""
-    return any(len({e.train + e.fresh for e in own}) > 1 for own in _by_model(entries).values())
-
-
-def _by_model(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
-    """The entries of each model, the best first, by the number of garments.
-
-    A model that was trained for different times, or numbers of steps, has a row for each.
-    """
-    lengths: dict[str, set[str]] = {}
-    for entry in entries:
-        lengths.setdefault(entry.model, set()).add(entry.length)
-    found: dict[str, list[Entry]] = {}
-    for entry in entries:
-        several = len(lengths[entry.model]) > 1
-        name = f"{entry.model}, {entry.length}" if several else entry.model
-        found.setdefault(name, []).append(entry)
-    return {name: sorted(own, key=lambda e: e.train + e.fresh) for name, own in found.items()}
-
-
-def _curve_file(task: str) -> str:
-    return f"learning_{task}.png"
-
-
-def _mark(number: int, *, fresh: bool) -> dict[str, Any]:
-    """Colour and marks of the line of a model: ten colours, then the same with other marks, for up to 60 models."""
-    mark = MARKS[number // COLOURS % len(MARKS)]
-    return {"fmt": f"{mark}-", "color": f"C{number % COLOURS}"} | ({"markerfacecolor": "white"} if fresh else {})
-
-
-def _drawn(task: str, entries: Sequence[Entry]) -> bytes:
-    """A plot for each of the first scores, a line for each model; bars are 95 % intervals, hollow marks fresh garments.
-
-    Raises ``ConfigError`` without matplotlib.
-    """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-        from matplotlib.ticker import FuncFormatter, NullLocator
-    except ImportError as error:
-        raise ConfigError("the curves need matplotlib: pip install 'gcd-dataset[bench]'") from error
-    names = _first_scores(task, entries)
-    figure = Figure(figsize=(4.2 * len(names) + 1.6, 3.4), layout="constrained")
-    for k, name in enumerate(names):
-        plot = figure.add_subplot(1, len(names), k + 1)
-        for number, (model, own) in enumerate(_by_model(entries).items()):
-            points = [(e.train + e.fresh, e.fresh, *e.values(name)) for e in own if len(e.values(name)) == 3]
-            for is_fresh in (False, True):
-                some = [(x, y, y - low, high - y) for x, fresh, y, low, high in points if bool(fresh) == is_fresh]
-                if some:
-                    x, y, below, above = zip(*some, strict=True)
-                    label = f"{model}, fresh" if is_fresh else model
-                    style = {"capsize": 2, "markersize": 5, "linewidth": 1.2, **_mark(number, fresh=is_fresh)}
-                    plot.errorbar(x, y, yerr=(below, above), label=label, **style)
-        plot.set_xscale("log")
-        plot.set_xticks(_apart(sorted({e.train + e.fresh for e in entries})))
-        plot.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-        plot.xaxis.set_minor_locator(NullLocator())
-        plot.set_xlabel("garments trained on")
-        plot.set_title(f"{task}: {name}", fontsize=10)
-        plot.grid(alpha=0.3)
-    marks: dict[str, Any] = {}
-    for plot in figure.axes:  # a model may lack the first score
-        marks |= {label: mark for mark, label in zip(*plot.get_legend_handles_labels(), strict=True)}
-    labels = sorted(marks)
-    figure.legend([marks[label] for label in labels], labels, loc="outside right upper", fontsize=8)
-    file = io.BytesIO()
-    FigureCanvasAgg(figure)
-    figure.savefig(file, format="png", metadata={"Software": None})
-    return file.getvalue()
-
-
-def _apart(numbers: Sequence[int]) -> list[int]:
-    """Tick positions whose labels do not overlap on a logarithmic axis: of two near ones, the greater stays.
-
-    >>> _apart([1000, 4000, 13_956, 16_000])
-    [1000, 4000, 16000]
-    """
-    kept: list[int] = []
-    for number in reversed(numbers):
-        if not kept or kept[0] >= LABEL_APART * number:
-            kept.insert(0, number)
-    return kept
-
-
 def _about(task: str) -> str:
     known = TASKS.get(task)
     about = "" if known is None else f"Input: {known.given}. Answer: {known.asked}."
@@ -313,9 +231,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _fact(name: str, value: Any) -> str:
-    if name == "command":
-        return f"`{value}`"
-    return f"{value:,}" if isinstance(value, int) else str(value)
+    return f"`{value}`" if name == "command" else f"{value:,}" if isinstance(value, int) else str(value)
 
 
 if __name__ == "__main__":

@@ -39,14 +39,12 @@ from torch import Tensor
 
 from benchmarks.cases import CaseResult, Figure
 from benchmarks.reconstruction import training
-from benchmarks.reconstruction.evaluate import scores_of
 from benchmarks.reconstruction.models.panel_set import answers_of, set_loss
 from benchmarks.reconstruction.models.picture_set import PictureSet, PictureTargets
 from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from
 from benchmarks.reconstruction.picture_inputs import SIDES, Input, Rendered, load_garment, rendering, views_of
 from benchmarks.reconstruction.picture_model import STRIDE, PictureNet
-from benchmarks.reconstruction.scoring.table import UNITS
 from benchmarks.reconstruction.training import Check, TrainConfig
 from gcd_dataset import Progress, generate
 from gcd_dataset.errors import ConfigError
@@ -59,6 +57,8 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY
 from gcd_dataset.generator.render import render
 from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores
 from gcd_dataset.records import Pattern
+from gcd_dataset.scoring.garments import scores_of
+from gcd_dataset.scoring.table import UNITS
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.workers import parallel_map
 

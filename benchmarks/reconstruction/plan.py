@@ -35,7 +35,6 @@ from typing import Any, NoReturn
 import torch
 
 from benchmarks.reconstruction import leaderboard, results
-from benchmarks.reconstruction.scoring.table import REPORT
 from benchmarks.reconstruction.stitching import run as stitching
 from benchmarks.reconstruction.tasks import task_named
 from benchmarks.reconstruction.train import UNFINISHED, add_arguments, is_draped, options_from, require_usable
@@ -43,6 +42,7 @@ from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.device import cores
 from gcd_dataset.jsonfile import read_json
+from gcd_dataset.scoring.table import REPORT
 
 PROGRAMS = {"train": "benchmarks.reconstruction.train", "stitching.run": "benchmarks.reconstruction.stitching.run"}
 FRESH = ("fresh", "make_device")

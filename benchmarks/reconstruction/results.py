@@ -5,7 +5,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,18 @@ from gcd_dataset.files import write_whole
 LEAST_MADE = 0.5  # of the garments asked for; a set with fewer is shown with its own number
 LEAST_TESTED = 0.9  # of the task's number of test garments; some cannot be draped
 HEADLINES: Mapping[str, Sequence[str]] = {
-    "T3": ("f1_symmetric", "perfect_symmetric", "f1_several_symmetric"),
+    "T3": ("joined_perfect", "joined_f1", "subdivided_perfect", "subdivided_f1", "freesewing_whole", "freesewing_f1"),
     "T4": ("panel_label", "seam_f1", "edge_label"),
     "T5": ("error_cm", "error_degrees"),
     "T6": ("error_cm", "within_1cm", "ms"),
 }
 """Scores of the table of all tasks; of the other tasks ``USUAL``, as far as they have them."""
-USUAL = ("within_1cm", "topology_exact", "iou", "stitch_f1", "sim_ok", "panel_count_acc")
+USUAL = ("strict_within_1cm", "strict_unaided", "combinatorial", "edges_within_1cm", "iou", "stitch_f1", "sim_ok")
+OUTSIDE: Mapping[str, str] = {
+    "neural_tailor": "trained for minutes, below its published budget",
+    "ceiling": "no model: the truth in the output format of `panel_set`",
+}
+"""Models that are not ranked, and why; nor are references without a training."""
 LOWER = ("error_cm", "error_degrees", "ms")
 """Scores where lower is better."""
 TABLES: Mapping[str, str] = {
@@ -34,6 +39,7 @@ TABLES: Mapping[str, str] = {
     "faultless_by_shape": "Bound: the truth with panels of equal shape exchanged",
     "several": "Edges joined wherever possible, scored on the seams of their parts (n to m)",
 }
+FREESEWING = 90  # its patterns in ``benchmarks/data``
 FOREIGN = "Patterns of another origin (T7): FreeSewing's designs"
 
 
@@ -69,11 +75,25 @@ class Entry:
     """Steps that were asked for; 0: the training was given a time."""
     asked: float = 0.0
     """Minutes that were asked for; 0: unknown."""
+    validation: Sequence[float] = ()
+    """The headline on the validation set, by which a record is chosen; empty if it was not asked."""
+    seeds: int = 1
+    """Trainings that the scores are means of; the ends are then the lowest and the highest."""
 
     @property
     def trained_on(self) -> str:
         """The garments of the training, as the tables show them."""
         return f"{self.train:,}" + (f" + {self.fresh:,} fresh" if self.fresh else "")
+
+    @property
+    def budget(self) -> tuple[str, str, str]:
+        """Garments, length and hardware of the training: models are ranked among those with the same."""
+        return self.trained_on, self.length, str(self.facts.get("hardware", ""))
+
+    @property
+    def outside(self) -> str:
+        """Why the entry is not ranked; empty if it is."""
+        return OUTSIDE.get(self.model.split()[0], "" if self.minutes else "a reference without a training")
 
     @property
     def length(self) -> str:
@@ -98,7 +118,7 @@ def read_entries(folder: Path) -> list[Entry]:
     """The results in a folder, by task, then as the scores rank them. Raises ``ConfigError`` for unreadable ones."""
     found = [_entry(path) for path in sorted(folder.glob("*.json"))]
     tasks = sorted({entry.task for entry in found})
-    return [entry for task in tasks for entry in _ranked([e for e in found if e.task == task])]
+    return [entry for task in tasks for entry in ranked([e for e in found if e.task == task])]
 
 
 def add(path: Path, folder: Path, *, command: str, commit: str, date: str, remark: str = "") -> Path:
@@ -145,42 +165,37 @@ def _read(path: Path) -> dict[str, Any]:
 def _of(found: Mapping[str, Any], path: Path) -> Entry:
     shared = ("parameters", "steps", "command", "commit", "date")
     facts = {name: found[name] for name in shared if name in found} | {"hardware": found.get("device", "unknown")}
-    remark = str(found.get("remark", ""))
     try:
         facts |= {f"{name} set": _data(part) for name, part in found["data"].items()}
-        if "one_to_one" in found:
-            arguments = found["arguments"]
-            variants = [name for name in ("one_round",) if arguments.get(name)]
-            variants += _unusual(arguments, _usual_of_stitches())
-            tables = {title: _scores(found[name]) for name, title in TABLES.items() if name in found}
-            if "foreign" in found:
-                tables[f"{FOREIGN}, {found['foreign']['garments']} patterns"] = _scores(found["foreign"])
-            name = " ".join(["stitches", *variants])
-            scores, kinds = _scores(found["one_to_one"]), _with_several(found)
-            left_out = arguments.get("leave_out", "")
-            tables |= _tables_of(kinds)
-            minutes = found["train_s"] / 60
-            train = int(arguments["train"])
-            return Entry(
-                "T3", name, train, minutes, scores, facts, tables, kinds, left_out, remark=remark, **_tests(found),
-                steps=int(arguments.get("steps", 0)), asked=float(arguments.get("minutes", 0)),
-            )  # fmt: skip
-        options, kinds = found.get("options", {}), found["scores_of_kinds"]
+        tables = {title: _scores(found[name]) for name, title in TABLES.items() if name in found}
+        if "foreign" in found:
+            tables[f"{FOREIGN}, {found['foreign']['garments']} patterns"] = _scores(found["foreign"])
+        if of_seams := "one_to_one" in found:
+            task, scores, kinds = "T3", _scores_of_seams(found), _kinds_of_seams(found)
+        else:
+            task, scores, kinds = found["task"], found["scores"], found["scores_of_kinds"]
+        options = found["arguments"] if "arguments" in found else found.get("options", {})
         left_out, count = options.get("leave_out", ""), int(found["data"]["train"]["count"])
         train = int(options.get("train") or count)
-        if count < LEAST_MADE * train and not left_out:
+        if count < LEAST_MADE * train and not left_out and not of_seams:
             train = count  # a folder may hold fewer garments than asked for
-        unusual = _unusual(options, _usual_of(found["model"]))
-        model = " ".join(
-            [found["model"], *(f"{name}={size}" for name, size in options.get("sizes", {}).items()), *unusual]
-        )
+        minutes = found["minutes"] if "minutes" in found else found["train_s"] / 60
         return Entry(
-            found["task"], model, train, found["minutes"], found["scores"], facts, _tables_of(kinds), kinds,
-            left_out, int(found.get("fresh", 0)), remark, **_tests(found),
+            task, _model_of(found, options), train, minutes, scores, facts, tables | _tables_of(kinds), kinds, left_out,
+            int(found.get("fresh", 0)), str(found.get("remark", "")), **_tests(found),
             steps=int(options.get("steps", 0)), asked=float(options.get("minutes", 0)),
+            validation=tuple(found.get("validation", {}).get("scores", {}).get(task_named(task).headline, ())),
         )  # fmt: skip
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ConfigError(f"{path}: {error!r}: no report of this version: train again") from error
+
+
+def _model_of(found: Mapping[str, Any], options: Mapping[str, Any]) -> str:
+    """The model with its unusual options."""
+    model = found.get("model", "stitches")
+    usual = _usual_of_stitches() if "arguments" in found else _usual_of(model)
+    sizes = [f"{name}={size}" for name, size in options.get("sizes", {}).items()]
+    return " ".join([model, *sizes, *(["one_round"] if options.get("one_round") else []), *_unusual(options, usual)])
 
 
 def _unusual(given: Mapping[str, Any], usual: Mapping[str, Any]) -> list[str]:
@@ -237,20 +252,31 @@ def _scores(table: Mapping[str, Any]) -> dict[str, list[float]]:
     return {name: list(values) for name, values in table.items() if isinstance(values, list)}
 
 
-def _with_several(found: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """The scores of each kind of T3, with those that only seams n to m have."""
-    several, kinds = found.get("several_of_kinds", {}), found.get("scores_of_kinds", {})
+def _scores_of_seams(found: Mapping[str, Any]) -> dict[str, list[float]]:
+    """The scores of T3: joined edges first, then edges subdivided as drawn, then FreeSewing's patterns."""
+    scores = {**_of_seams(found.get("several", {}), "joined"), **_of_seams(found["one_to_one"], "subdivided")}
+    if (foreign := found.get("foreign", {})).get("garments") == FREESEWING:  # other numbers do not compare
+        whole = [FREESEWING * value for value in foreign["perfect_symmetric"]]
+        scores |= {"freesewing_whole": whole, "freesewing_f1": foreign["f1_symmetric"]}
+    return scores
+
+
+def _kinds_of_seams(found: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The scores of each kind of T3; a kind may have no edges to join."""
+    several = found.get("several_of_kinds", {})
     return {
-        kind: own | {name: mean for name, mean in several.get(kind, {}).items() if name not in {*own, "garments"}}
-        for kind, own in kinds.items()
+        kind: {**_of_seams(several.get(kind, {}), "joined"), **_of_seams(own, "subdivided")}
+        for kind, own in found.get("scores_of_kinds", {}).items()
     }
 
 
-def _tables_of(kinds: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, list[float]]]:
-    return {f"Of {kind}": {name: [value] for name, value in scores.items()} for kind, scores in kinds.items()}
+def _of_seams(table: Mapping[str, Any], title: str) -> dict[str, Any]:
+    """F1 of the seams, and the share of the garments with all seams right, up to panels of equal shape."""
+    names = {"perfect": "perfect_symmetric", "f1": "f1_symmetric"}
+    return {f"{title}_{name}": table[own] for name, own in names.items() if own in table}
 
 
-def _ranked(entries: Sequence[Entry]) -> list[Entry]:
+def ranked(entries: Sequence[Entry]) -> list[Entry]:
     """Entries of a task, the best first by the first score that all of them have."""
     names = [name for entry in entries[:1] for name in HEADLINES.get(entry.task, USUAL)]
     shared = next((name for name in names if all(name in entry.scores for entry in entries)), "")
@@ -262,12 +288,36 @@ def _ranked(entries: Sequence[Entry]) -> list[Entry]:
     return sorted(entries, key=rank)
 
 
+def pooled(entries: Sequence[Entry]) -> list[Entry]:
+    """The entries, with one for all trainings that differ in their seed alone: mean, lowest and highest mean score."""
+    alike: dict[tuple[Any, ...], list[Entry]] = {}
+    for entry in entries:
+        model = re.sub(r" seed=\d+", "", entry.model)
+        alike.setdefault((entry.task, model, entry.budget, entry.left_out, _test_set(entry)), []).append(entry)
+    return [_mean_of(own, str(key[1])) if len(own) > 1 else own[0] for key, own in alike.items()]
+
+
+def _mean_of(entries: Sequence[Entry], model: str) -> Entry:
+    def spread(rows: Sequence[Sequence[float]]) -> Sequence[float]:
+        means = [row[0] for row in rows if row]
+        return [sum(means) / len(means), min(means), max(means)] if len(means) == len(entries) else ()
+
+    names = [name for name in entries[0].scores if all(entry.scores.get(name) for entry in entries)]
+    scores = {name: spread([entry.scores[name] for entry in entries]) for name in names}
+    validation = spread([entry.validation for entry in entries])
+    return replace(entries[0], model=model, scores=scores, validation=validation, seeds=len(entries))
+
+
+def _tables_of(kinds: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, list[float]]]:
+    return {f"Of {kind}": {name: [value] for name, value in scores.items()} for kind, scores in kinds.items()}
+
+
 def _test_set(entry: Entry) -> tuple[int, str]:
     return entry.tested, entry.tests
 
 
 def by_test_set(entries: Sequence[Entry]) -> list[list[Entry]]:
-    """Ranked entries of each test set of a task, without those that leave out a kind; the usual test set first.
+    """Pooled entries of each test set of a task, the best first, without a left out kind; the usual test set first.
 
     The usual one has about as many garments as the task says, and of such ones the most entries, the latest at a tie.
     """
@@ -280,7 +330,7 @@ def by_test_set(entries: Sequence[Entry]) -> list[list[Entry]]:
         whole = own[0].tested >= LEAST_TESTED * task_named(own[0].task).tested
         return whole, len(own), max(str(entry.facts.get("date", "")) for entry in own)
 
-    return [_ranked(own) for own in sorted(found.values(), key=usual, reverse=True)] or [[]]
+    return [ranked(pooled(own)) for own in sorted(found.values(), key=usual, reverse=True)] or [[]]
 
 
 def shown(values: Sequence[float] | None) -> str:

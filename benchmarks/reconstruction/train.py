@@ -32,12 +32,10 @@ from typing import Any
 import torch
 import torch.distributed as dist
 
-from benchmarks.reconstruction.evaluate import evaluate, evaluator
 from benchmarks.reconstruction.garments import GarmentSet, Split, fresh_garments
 from benchmarks.reconstruction.judging import Judge, intervals, judge_of, means_of
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples
 from benchmarks.reconstruction.models import MODELS, load_model
-from benchmarks.reconstruction.scoring.table import DRAPED, EVALUATION, REPORT, SCORES
 from benchmarks.reconstruction.tasks import FRESH_SEED, TASKS, ReconstructionTask, task_named
 from benchmarks.reconstruction.training import (
     CHECKPOINT,
@@ -57,6 +55,8 @@ from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder, write_whole
 from gcd_dataset.generator.device import cores
 from gcd_dataset.generator.drawing import png_bytes
+from gcd_dataset.scoring.evaluate import evaluate, evaluator
+from gcd_dataset.scoring.table import DRAPED, EVALUATION, REPORT, SCORES
 
 MINUTES, TRAINED = 8.0, 4000
 OF_GARMENTS, SUFFIXES = ("predictions", "truth", "inputs", "bodies"), (".json", ".npz", ".npy", ".meta.json")

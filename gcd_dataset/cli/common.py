@@ -276,6 +276,14 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
     ),
     "measure": ("gcd measure scan.obj --out measures.yaml", "gcd measure --shape random:7"),
     "show": ("gcd show shards --index 3 --html garment.html", "gcd show shirt_specification.json --svg pattern.svg"),
+    "score": (
+        "gcd score answers truth --json scores.json",
+        "gcd score answers t1 --drape --workers 8",
+    ),
+    "bench": (
+        "gcd bench inputs T1 t1 --mini",
+        "gcd bench submit answers t1 --card model.toml --out result.json && gcd bench board *.json",
+    ),
     "info": ("gcd info shards", "gcd info org/garments"),
     "check": ("gcd check shards --bytes", "gcd check *_specification.json --errors"),
     "index": ("gcd index shards", "gcd index s3://bucket/shards"),

@@ -15,6 +15,7 @@ from gcd_dataset.records import EdgeRef, Pattern
 DISTANCE_SCALE = 20.0  # cm: a distance that costs as much as outlines without overlap
 ANGLE_SCALE = np.pi / 2  # rad: a rotation that costs as much as outlines without overlap
 FAR = 40.0  # cm: panels further apart match only if their outlines are alike
+EDGE_POINTS = 9  # of an edge, to compare it
 ALIKE = 0.5  # least intersection over union of outlines that are alike
 
 
@@ -60,10 +61,17 @@ def match_shapes(predicted: Sequence[PanelShape | None], true: Sequence[PanelSha
 
 def matched_edges(pair: PanelPair) -> dict[EdgeRef, EdgeRef]:
     """Edge of the predicted panel to its match on the true panel, by the distance of the edges' midpoints."""
-    middles = _edge_middles(pair.predicted)[:, None], _edge_middles(pair.true)[None]
-    distance = np.linalg.norm(middles[0] - middles[1], axis=2)
+    ours, theirs = (_edge_points(shape, 3)[:, 1] for shape in (pair.predicted, pair.true))
+    distance = np.linalg.norm(ours[:, None] - theirs, axis=2)
     pairs = zip(*(side.tolist() for side in linear_sum_assignment(distance)), strict=True)
     return {EdgeRef(pair.predicted.panel.name, i): EdgeRef(pair.true.panel.name, j) for i, j in pairs}
+
+
+def edges_apart(pair: PanelPair) -> float:
+    """Largest distance of matched edges at equal shares of their length, centroids of the panels aligned [cm]."""
+    ours, theirs = (_edge_points(shape, EDGE_POINTS) for shape in (pair.predicted, pair.true))
+    matched = matched_edges(pair).items()
+    return max(float(np.linalg.norm(ours[a.edge] - theirs[b.edge], axis=1).max()) for a, b in matched)
 
 
 def _angle(one: Float[np.ndarray, "3 3"], other: Float[np.ndarray, "3 3"]) -> float:
@@ -73,7 +81,8 @@ def _angle(one: Float[np.ndarray, "3 3"], other: Float[np.ndarray, "3 3"]) -> fl
     return float(np.arctan2(np.linalg.norm(axis), np.trace(rotation) - 1))
 
 
-def _edge_middles(shape: PanelShape) -> Float[np.ndarray, "e 2"]:
+def _edge_points(shape: PanelShape, count: int) -> Float[np.ndarray, "e count 2"]:
+    """Points at equal shares of the length of every edge, both ends included, as ``shape.loop`` has them [cm]."""
     panel = shape.panel
-    middles = [sample_curve(*panel.edge_ends(i), edge.curve, 3)[1] for i, edge in enumerate(panel.edges)]
-    return shape.seen(np.array(middles))
+    points = [sample_curve(*panel.edge_ends(i), edge.curve, count) for i, edge in enumerate(panel.edges)]
+    return shape.seen(np.array(points))

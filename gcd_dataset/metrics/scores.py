@@ -9,14 +9,16 @@ from scipy.optimize import minimize_scalar
 
 from gcd_dataset.curves import signed_area
 from gcd_dataset.faults import Severity, check_pattern
-from gcd_dataset.metrics.matching import FAR, match_shapes
+from gcd_dataset.metrics.matching import FAR, edges_apart, match_shapes
 from gcd_dataset.metrics.seams import seam_counts, seam_lengths_score, seam_mismatch
-from gcd_dataset.metrics.shapes import CONTOUR_POINTS, PanelShape, resample_loop, shape_or_none
+from gcd_dataset.metrics.shapes import PanelShape, resample_loop, shape_or_none
 from gcd_dataset.records import Pattern
 
+CONTOUR_POINTS = 256
 SHIFTS = 64  # starts of the predicted contour that are tried, besides its corners
 SMALLEST_AREA = 1.0  # cm²: a smaller panel cannot be sewn
 SAME_OUTLINE = 0.9  # least intersection over union of a right panel
+EDGE_APART = 1.0  # cm: distance of a right edge
 DRAWS_AT_ONCE = 100  # resampled test sets in memory
 
 
@@ -56,9 +58,12 @@ class PatternScore:
     panel_f1: float
     """F1 of the panels; a predicted panel is right if it is matched with an IoU of 0.9 or more."""
     garment_perfect: float
-    """1 if all seams are right and none is missing: ``stitch_f1`` is 1."""
-    topology_exact: float
-    """1 if every panel is matched, none is missing, all numbers of edges are right, and all seams are."""
+    """1 if all seams are right and none is missing: ``stitch_f1`` is 1. Which ends meet does not count."""
+    combinatorial: float
+    """1 if every panel is matched, none is missing, all numbers of edges are right, and all seams join the right ends
+    of the right edges. Sizes and shapes do not count."""
+    edges_within_1cm: float
+    """1 if ``combinatorial``, and all edges lie within 1 cm of the true ones, centroids of the panels aligned."""
     seam_mismatch: float
     """Mean of the difference of a predicted seam's lengths over the larger; gathers count. 1 if no seam is predicted
     where the true pattern has some."""
@@ -73,14 +78,15 @@ def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
     predicted_shapes = [shape_or_none(panel) for panel in predicted.panels]
     pairs = match_shapes(predicted_shapes, true_shapes)
     larger = max(len(predicted_shapes), len(true_shapes))
-    radii = {shape: float(np.linalg.norm(shape.contour(), axis=1).mean()) for shape in true_shapes}
-    distances = {pair.true: min(_contour_distance(pair.predicted, pair.true), radii[pair.true]) for pair in pairs}
+    contours = {shape: resample_loop(shape.loop, CONTOUR_POINTS) for shape in true_shapes}
+    radii = {shape: float(np.linalg.norm(contour, axis=1).mean()) for shape, contour in contours.items()}
+    distances = {p.true: min(_contour_distance(p.predicted, contours[p.true]), radii[p.true]) for p in pairs}
     penalised = _mean([distances.get(shape, radius) for shape, radius in radii.items()], 0.0)
     worst = _mean(list(radii.values()), 0.0)
     alike = sum(pair.iou >= SAME_OUTLINE for pair in pairs)
     right_edges = sum(len(pair.predicted.panel.edges) == len(pair.true.panel.edges) for pair in pairs)
-    right, found, wanted = seam_counts(predicted, true, pairs)
-    perfect = right == found == wanted
+    right, directed, found, wanted = seam_counts(predicted, true, pairs)
+    combinatorial = directed == found == wanted and len(pairs) == right_edges == larger
     named = {shape.panel.name: shape for shape in predicted_shapes if shape is not None}
     by_length = seam_lengths_score(predicted, true, pairs, named, {shape.panel.name: shape for shape in true_shapes})
     return PatternScore(
@@ -99,8 +105,9 @@ def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
         stitch_nm_r=by_length[1],
         stitch_nm_f1=by_length[2],
         panel_f1=2 * alike / (len(predicted_shapes) + len(true_shapes)) if larger else 1.0,
-        garment_perfect=float(perfect),
-        topology_exact=float(perfect and len(pairs) == right_edges == larger),
+        garment_perfect=float(right == found == wanted),
+        combinatorial=float(combinatorial),
+        edges_within_1cm=float(combinatorial and all(edges_apart(pair) <= EDGE_APART for pair in pairs)),
         seam_mismatch=seam_mismatch(predicted, named) if found or not wanted else 1.0,
     )
 
@@ -111,9 +118,8 @@ def failed_score(true: Pattern) -> PatternScore:
     Distances are those of a prediction without a matched panel. Raises ``PatternError`` as ``score_pattern`` does.
     """
     nothing = score_pattern(Pattern("", (), ()), true)
-    best_at_1 = {field.name: 0.0 for field in fields(PatternScore)} | {"seam_mismatch": 1.0}
-    worst = best_at_1 | {"transl_cm": FAR, "rot_deg": 180.0}
-    return replace(nothing, **{name: value for name, value in worst.items() if not name.startswith("panel_l2")})
+    shares = {field.name: 0.0 for field in fields(PatternScore) if not field.name.startswith("panel_l2")}
+    return replace(nothing, **(shares | {"transl_cm": FAR, "rot_deg": 180.0, "seam_mismatch": 1.0}))
 
 
 def mean_scores(scores: Sequence[PatternScore]) -> PatternScore:
@@ -151,18 +157,13 @@ def bootstrap_means(
     return low, high
 
 
-# ------------------------------------------------------------------------------------------------------------- parts
-
-
 def _can_be_sewn(pattern: Pattern, shapes: Sequence[PanelShape | None]) -> bool:
-    if any(fault.severity is Severity.ERROR for fault in check_pattern(pattern)):
-        return False
-    return all(shape is not None and abs(signed_area(shape.loop)) > SMALLEST_AREA for shape in shapes)
+    large = all(shape is not None and abs(signed_area(shape.loop)) > SMALLEST_AREA for shape in shapes)
+    return large and not any(fault.severity is Severity.ERROR for fault in check_pattern(pattern))
 
 
-def _contour_distance(predicted: PanelShape, true: PanelShape) -> float:
+def _contour_distance(predicted: PanelShape, target: Float[np.ndarray, "n 2"]) -> float:
     """Mean distance of the outlines at equal shares of their length, for the best start of the predicted one [cm]."""
-    target = true.contour()
     steps = np.linalg.norm(np.diff(predicted.loop, axis=0, append=predicted.loop[:1]), axis=1)
     length = float(steps.sum())
 

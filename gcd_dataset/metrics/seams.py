@@ -39,18 +39,17 @@ class SewnPiece:
         """The mean length of both sides [cm]."""
         return 0.5 * (abs(self.left[1] - self.left[0]) + abs(self.right[1] - self.right[0]))
 
-    @property
-    def both_ways(self) -> tuple["SewnPiece", "SewnPiece"]:
-        """The piece, and the piece with its sides exchanged."""
-        return self, SewnPiece(self.right_panel, self.right, self.left_panel, self.left)
 
+def seam_counts(predicted: Pattern, true: Pattern, pairs: Sequence[PanelPair]) -> tuple[int, int, int, int]:
+    """Numbers of right seams, of those that also join the right ends (``right_wrong``), of predicted and true seams.
 
-def seam_counts(predicted: Pattern, true: Pattern, pairs: Sequence[PanelPair]) -> tuple[int, int, int]:
-    """Numbers of right, predicted and true seams; edges of matched panels are matched by their midpoints."""
+    Edges of matched panels are matched by their midpoints.
+    """
     true_edge = {ref: other for pair in pairs for ref, other in matched_edges(pair).items()}
-    found = {frozenset((true_edge.get(seam.left), true_edge.get(seam.right))) for seam in predicted.seams}
-    wanted = {frozenset((seam.left, seam.right)) for seam in true.seams}
-    return len(found & wanted), len(predicted.seams), len(true.seams)
+    found = {frozenset((true_edge.get(s.left), true_edge.get(s.right))): s.right_wrong for s in predicted.seams}
+    wanted = {frozenset((seam.left, seam.right)): seam.right_wrong for seam in true.seams}
+    right = [found[edges] == directed for edges, directed in wanted.items() if edges in found]
+    return len(right), sum(right), len(predicted.seams), len(true.seams)
 
 
 def seam_mismatch(pattern: Pattern, shapes: Mapping[str, PanelShape]) -> float:
@@ -66,9 +65,6 @@ def seam_mismatch(pattern: Pattern, shapes: Mapping[str, PanelShape]) -> float:
     }
     sewn = [sorted((lengths.get(seam.left, 0.0), lengths.get(seam.right, 0.0))) for seam in pattern.seams]
     return float(np.mean([1 - short / long if long > 0 else 1.0 for short, long in sewn])) if sewn else 0.0
-
-
-# ------------------------------------------------------------------------------------------------------------ intervals
 
 
 def sewn_pieces(pattern: Pattern, shapes: Mapping[str, PanelShape]) -> list[SewnPiece]:
@@ -173,7 +169,7 @@ def _agreeing(pieces: Sequence[SewnPiece], others: Sequence[SewnPiece], lengths:
     """Total length of the parts of ``pieces`` that ``others`` sew in the same way [cm]."""
     between: dict[tuple[str, str], list[SewnPiece]] = defaultdict(list)
     ends: dict[str, list[float]] = defaultdict(list)
-    for way in (way for piece in others for way in piece.both_ways):
+    for way in (*others, *(SewnPiece(o.right_panel, o.right, o.left_panel, o.left) for o in others)):
         between[way.left_panel, way.right_panel].append(way)
         ends[way.left_panel] += way.left
     total = 0.0

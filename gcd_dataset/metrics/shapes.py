@@ -13,7 +13,6 @@ from gcd_dataset.records import Panel
 from gcd_dataset.tensors import area_centroid, require_closed
 
 CURVE_SAMPLES = 33  # points of a curved edge: an error of 1e-4 r for a quarter circle
-CONTOUR_POINTS = 256
 LARGEST = 1e12  # cm: specification files hold no larger number
 GAPS = (0.5, 10.0)  # cm: bounds of the cost of a corner without a match
 NOISE = 2.0  # gaps for each cm between corners and their nearest corner: matched corners are less than two gaps apart
@@ -58,10 +57,6 @@ class PanelShape:
     def seen(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Points of the panel's own coordinates about the centroid, as seen from the right side [cm]."""
         return (points - self.centroid) * [self.side, 1.0]
-
-    def contour(self, count: int = CONTOUR_POINTS) -> Float[np.ndarray, "count 2"]:
-        """Points at equal distances along the outline [cm]."""
-        return resample_loop(self.loop, count)
 
 
 def resample_loop(
@@ -174,11 +169,10 @@ def _polyline(panel: Panel) -> Float[np.ndarray, "n 2"]:
         raise PatternError(f"panel {panel.name}: a vertex is not finite or too large: correct its vertices")
     if not _usable(panel.placement.translation) or not _usable(panel.placement.rotation):
         raise PatternError(f"panel {panel.name}: its placement is not finite or too large: correct it")
-    pieces = [
-        sample_curve(*panel.edge_ends(index), edge.curve, 2 if edge.curve == LINE else CURVE_SAMPLES)[:-1]
-        for index, edge in enumerate(panel.edges)
-    ]
-    loop = np.concatenate(pieces)
+    counts = [2 if edge.curve == LINE else CURVE_SAMPLES for edge in panel.edges]
+    loop = np.concatenate(
+        [sample_curve(*panel.edge_ends(row), edge.curve, counts[row])[:-1] for row, edge in enumerate(panel.edges)]
+    )
     if len(loop) < 3:
         raise PatternError(f"panel {panel.name}: {len(loop)} straight edges: close the outline")
     if not _usable(loop):

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 Source = Callable[[], Pattern]
 KEPT_MATCHES = 32  # albums whose keys are kept as a mapping
 PREDICTED = re.compile("_(predicted|prediction)$")  # ends of names that are not part of a garment's
-FIGURES = ("iou", "panel_l2", "edge_count_acc", "stitch_f1", "topology_exact")  # of ``PatternScore``
+FIGURES = ("iou", "panel_l2", "edge_count_acc", "stitch_f1", "combinatorial")  # of ``PatternScore``
 MOST_NAMES = 20  # names listed in a line
 REQUESTED = 256  # garments of a remote data set whose tags are requested at a time
 CHUNK = 64  # samples whose metadata are read at once; ``close`` waits for a chunk

@@ -207,7 +207,7 @@ def test_the_same_seed_trains_the_same_network(folder: Path) -> None:
 
 def test_gaps_are_differences_in_points() -> None:
     def score(iou: float) -> PatternScore:
-        return PatternScore(1, 1, 0.5, iou, *[0.0] * 14)
+        return PatternScore(1, 1, 0.5, iou, *[0.0] * 15)
 
     mean, low, high = gaps([score(0.8), score(0.6)], [score(0.5), score(0.4)])
     assert mean == pytest.approx({"panel_count_acc": 0.0, "edge_count_acc": 0.0, "iou": 25.0})

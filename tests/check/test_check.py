@@ -587,6 +587,7 @@ def test_bodies_without_garment_and_without_mesh_are_found(release: Path) -> Non
 
 
 def test_the_release_of_the_reference_system_has_no_harmful_finding(examples: Path, tmp_path: Path) -> None:
+    """Reference patterns in the published layout, draped by another solver."""
     report = examine(examples / "published" / "GarmentCodeData_v2_unpacked", cache_dir=tmp_path)
     assert [(split.name, split.examined) for split in report.splits] == [("train", 2), ("test", 2)]
     assert not report.harmful

@@ -27,10 +27,10 @@ from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import FABRICS, drape_batch
 from gcd_dataset.records import Body, EdgeRole, Measurements
 from tests.benchmarks.reconstruction.conftest import SKIRTS
-from tests.benchmarks.reconstruction.test_evaluate import save
 from tests.benchmarks.reconstruction.test_leaderboard import PLANS
 from tests.benchmarks.reconstruction.test_train import SMALL
 from tests.benchmarks.test_pictures_matter import options, stored_garments
+from tests.scoring.test_score import save
 from tests.test_metrics import garment
 
 
@@ -57,7 +57,7 @@ def test_answers_are_draped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert json.loads((out / "report.json").read_text()) == report
     evaluation = json.loads((out / "evaluation.json").read_text())
     assert [garment["name"] for garment in evaluation["garments"]] == [f"1_{k:09d}" for k in range(3)]
-    assert report["scores"]["within_1cm"][0] == report["scores"]["sim_ok"][0] == 1
+    assert report["scores"]["strict_within_1cm"][0] == report["scores"]["sim_ok"][0] == 1
     assert 0 < report["scores"]["redrape_cd_cm"][0] < 0.7
     assert report["scores_of_kinds"]["skirt"]["redrape_cd_cm"] == pytest.approx(report["scores"]["redrape_cd_cm"][0])
 
@@ -124,9 +124,9 @@ def test_a_network_learns_from_plain_pictures(tmp_path: Path) -> None:
     assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
 
 
-def test_a_reader_of_the_evaluator_exits_early(tmp_path: Path) -> None:
+def test_a_reader_of_the_scores_exits_early(tmp_path: Path) -> None:
     truth, ours = (save(tmp_path / name, {"a": garment()}) for name in ("truth", "ours"))
-    command = [sys.executable, "-m", "benchmarks.reconstruction.evaluate", str(ours), str(truth)]
+    command = [sys.executable, "-m", "gcd_dataset", "score", str(ours), str(truth)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()

@@ -32,7 +32,10 @@ SMALLER = {
     "sketches": {"size=512": "size=64"},
     "evaluate": {
         "--drape --bodies BODIES --inputs INPUTS": "--by-kind --workers 1",
-        "FORMAT FILE... --out PREDICTIONS": "specification TRUTH --out imported",
+        "inputs T1 t1 --mini": "inputs T3 t1 --mini --quiet",
+        "python my_model.py t1/inputs answers": "cp -r t1/inputs answers",
+        " --out result.json --drape": " --out result.json --quiet",
+        "answers t1 --card model.toml": "answers t1 --card card.toml",
         "compare FIRST SECOND": "compare scores.json scores.json",
     },
     "guides/train": {"--count 1000": "--count 40", "--resolution 3": "--resolution 8", "EPOCHS = 25": "EPOCHS = 2"},
@@ -63,7 +66,8 @@ import json
 from pathlib import Path
 from gcd_dataset.loaders import GarmentDataset
 
-for folder in ("PREDICTIONS", "TRUTH"):
+Path("card.toml").write_text('name = "none"\\ngarments = 0\\nminutes = 0\\nweights = 0\\nhardware = "none"\\n')
+for folder in ("ANSWERS", "TRUTH"):
     Path(folder).mkdir()
     for item in GarmentDataset("garments", fields=["spec", "meta"]):
         Path(folder, item["meta"]["key"] + "_specification.json").write_text(json.dumps(item["spec"]))

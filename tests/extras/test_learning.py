@@ -14,21 +14,21 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from benchmarks.cases import parity
 from benchmarks.cloth_tests import drape_coefficient
 from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
-from benchmarks.reconstruction.evaluate import main as evaluate
 from benchmarks.reconstruction.garments import GarmentSet, generated
 from benchmarks.reconstruction.models import load_model, panel_set
 from benchmarks.reconstruction.picture_inputs import Input, rendering
 from benchmarks.reconstruction.tasks import NAMED
 from benchmarks.reconstruction.training import TrainConfig, train
+from gcd_dataset.cli import main as gcd
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.drape import Fabric
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.tensors import PANEL_LABELS
 from tests.benchmarks.reconstruction.conftest import SKIRTS
-from tests.benchmarks.reconstruction.test_evaluate import figures, save
 from tests.benchmarks.reconstruction.test_networks import SIZES, network
 from tests.benchmarks.test_pictures_matter import stored_garments
+from tests.scoring.test_score import figures, save
 
 CPU = torch.device("cpu")
 FEW = {"points": 128, "stored_points": 512, "tokens": 16}
@@ -119,14 +119,14 @@ def test_several_processes_score_alike_and_the_headline_counts_right_drapes_of_a
     ours = save(tmp_path / "ours", {"a": skirt, "b": replace(skirt, seams=skirt.seams[:-1])})
     printed = []
     for workers in (1, 2):
-        assert evaluate([str(ours), str(true), "--quiet", "--workers", str(workers)]) == 0
+        assert gcd(["score", str(ours), str(true), "--quiet", "--workers", str(workers)]) == 0
         printed.append(capsys.readouterr().out)
     assert printed[0] == printed[1]
     json_file = tmp_path / "out.json"
     options = ["--drape", "--resolution", "8", "--device", "cpu", "--quiet", "--json", str(json_file)]
-    assert evaluate([str(ours), str(true), *options]) == 0
+    assert gcd(["score", str(ours), str(true), *options]) == 0
     found = figures(capsys.readouterr().out)
-    assert found["within_1cm"] == found["topology_exact"] == pytest.approx(1 / 3, abs=1e-4)
+    assert found["strict_within_1cm"] == found["combinatorial"] == pytest.approx(1 / 3, abs=1e-4)
     rows = {row["name"]: row for row in json.loads(json_file.read_text())["garments"]}
     assert rows["a"]["redrape_cd_cm"] == pytest.approx(0, abs=1e-6)
     assert rows["b"]["redrape_cd_cm"] < rows["c"]["redrape_cd_cm"] == 100

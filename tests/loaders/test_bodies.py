@@ -282,7 +282,8 @@ def test_broken_weights_are_named(few: Path, meta: str, message: str) -> None:
         PublishedBodies(few, fields=["shape"])[1]
 
 
-def test_the_published_example_is_read(examples: Path) -> None:
+def test_bodies_in_the_published_layout_are_read(examples: Path) -> None:
+    """Stand-ins of the reference system: none is a body that ETH published."""
     root = examples / "published" / "GarmentCodeData_v2_unpacked"
     parts = examples / "bodies" / "ggg_body_segmentation.json"
     with pytest.raises(ShardError, match="missing"):  # only one of four meshes was unpacked

@@ -122,6 +122,7 @@ def test_pictures_that_are_not_rendered_are_refused() -> None:
 
 
 def test_published_garments_have_no_body_field(examples: Path) -> None:
+    """Reference patterns in the published layout, draped by another solver."""
     root = examples / "published" / "GarmentCodeData_v2"
     with pytest.raises(ConfigError, match="no field body: these garments have no shape weights"):
         PublishedGarmentCodeData(root, "all", fields=["body"])

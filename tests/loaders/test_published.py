@@ -302,7 +302,7 @@ def test_a_broken_split_file_is_named(own: Path) -> None:
         PublishedGarmentCodeData(own)
 
 
-# ----------------------------------------------------------------------------------------- the reference's own files
+# --------------------------------------------------------- the reference's patterns, draped by another solver (Newton)
 
 
 def test_garments_of_the_reference_system_are_read_as_expected(examples: Path, tmp_path: Path) -> None:
@@ -336,7 +336,7 @@ def check_garment(item: Mapping[str, Any], facts: Mapping[str, Any]) -> None:
 
 
 def test_files_of_the_reference_system_survive_a_round_trip(examples: Path, tmp_path: Path) -> None:
-    """Exporting a garment of the reference system reproduces its files."""
+    """Exporting a garment of the reference system, draped by another solver, reproduces its files."""
     from gcd_dataset.exports.published import _drawing
 
     root = examples / "published" / "GarmentCodeData_v2_unpacked"

@@ -267,20 +267,16 @@ def score_intervals(true: Merged, predicted: Pattern) -> IntervalScore:
     graph, row_of = graph_of(true.parts), _rows_of_truth(true.parts, predicted)
     stitches = [(row_of.get(seam.left, -1), row_of.get(seam.right, -1)) for seam in predicted.seams]
     known = [pair for pair in stitches if min(pair) >= 0]
-    score = score_stitches(graph, known, others=len(stitches) - len(known))
-    several = _rows_of_several(true)
-    extra = sum(any(row < 0 for row in pair) for pair in stitches)
+    extra = len(stitches) - len(known)
+    score, several, parts = score_stitches(graph, known, others=extra), _rows_of_several(true), _parts(true)
     partners = partners_of(graph, known)
-    moved = best_symmetry(graph, partners)
-    parts = _parts(true)
+    as_given, moved = np.arange(len(partners)), best_symmetry(graph, partners)
     return IntervalScore(
         f1=score.f1,
         f1_symmetric=score.f1_symmetric,
         perfect_symmetric=score.perfect_symmetric,
-        f1_several=_f1_of(graph, partners, np.arange(len(moved)), several, extra),
-        f1_several_symmetric=max(
-            _f1_of(graph, partners, rows, several, extra) for rows in (np.arange(len(moved)), moved)
-        ),
+        f1_several=_f1_of(graph, partners, as_given, several, extra),
+        f1_several_symmetric=max(_f1_of(graph, partners, rows, several, extra) for rows in (as_given, moved)),
         cut_recall=float(np.isin(parts, list(row_of.values())).mean()) if len(parts) else 1.0,
     )
 

@@ -11,9 +11,9 @@ import pytest
 
 from benchmarks.reconstruction import compare
 from benchmarks.reconstruction.compare import LEAST_GARMENTS, Difference, ModelScores, differences, main, read_scores
-from benchmarks.reconstruction.evaluate import main as evaluate
-from benchmarks.reconstruction.scoring.table import EVALUATION, REPORT, SCORES
+from gcd_dataset.cli import main as gcd
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.scoring.table import EVALUATION, REPORT, SCORES
 from gcd_dataset.spec import write_pattern
 from tests.benchmarks.reconstruction.toys import t_shirt, tube
 
@@ -116,9 +116,9 @@ def test_rows_are_matched_by_garment_and_scores_by_name(tmp_path: Path, capsys: 
 def test_a_folder_with_scores_of_the_evaluator_has_these(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folders = [run_folder(tmp_path / name, equal(0.2)) for name in "ab"]
     for out, exact in zip(folders, (0.0, 1.0), strict=True):
-        evaluated(out / EVALUATION, [{"within_1cm": exact}] * LEAST_GARMENTS, drape=True)
+        evaluated(out / EVALUATION, [{"strict_within_1cm": exact}] * LEAST_GARMENTS, drape=True)
     assert main([str(out) for out in folders]) == 0
-    assert capsys.readouterr().out.splitlines()[1:] == ["compare.within_1cm +1 [+1, +1] from 0 to 1 better"]
+    assert capsys.readouterr().out.splitlines()[1:] == ["compare.strict_within_1cm +1 [+1, +1] from 0 to 1 better"]
 
 
 def test_files_of_the_evaluator_are_compared(
@@ -133,14 +133,14 @@ def test_files_of_the_evaluator_are_compared(
         write_pattern(tube(), better / f"{name}.json")
     (worse / "0.json").write_text("{}")  # and no file of the others: all fail
     for folder in (better, worse):
-        assert evaluate([str(folder), str(truth), "--quiet", "--json", f"{folder}.json"]) == 0
+        assert gcd(["score", str(folder), str(truth), "--quiet", "--json", f"{folder}.json"]) == 0
     capsys.readouterr()
     assert main([f"{worse}.json", f"{better}.json"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "compare.garments 2 garments"
     assert "compare.iou +1 [+1, +1] from 0 to 1 better" in lines
     write_pattern(t_shirt(), truth / "0.json")
-    assert evaluate([str(better), str(truth), "--quiet", "--json", f"{better}.json"]) == 0
+    assert gcd(["score", str(better), str(truth), "--quiet", "--json", f"{better}.json"]) == 0
     assert main([f"{worse}.json", f"{better}.json"]) == 1
     assert "better.json: hash of truth: " in capsys.readouterr().err
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from benchmarks.reconstruction import garments
+from benchmarks.reconstruction import garments, tasks
 from benchmarks.reconstruction.derived import CENTRE
 from benchmarks.reconstruction.garments import (
     GarmentSet,
@@ -25,10 +25,12 @@ from benchmarks.reconstruction.models import baselines
 from benchmarks.reconstruction.models.baselines import ceiling, nearest, typical
 from benchmarks.reconstruction.tasks import TASKS, task_named
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.exports.published import garment_type
 from gcd_dataset.generator import MakeConfig
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import recipe_of
+from gcd_dataset.loaders import GeneratedGarments
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics import score_pattern
 from gcd_dataset.records import Drape, Outcome
@@ -214,6 +216,22 @@ def test_the_test_set_depends_neither_on_the_task_nor_on_the_size() -> None:
     assert mesh.train.points.shape == (3, 8192, 6)
     assert pattern.train.points.shape == (5, 0, 6)
     assert not np.isin(pattern.test.bodies, pattern.train.bodies).any()
+
+
+def test_the_validation_set_has_enough_trousers_jumpsuits_and_hoods(monkeypatch: pytest.MonkeyPatch) -> None:
+    """500 garments as sampled, and 60 and more of each kind; none is trained or tested on."""
+    counts = [count for _, count, _ in tasks.VALIDATION]
+    assert counts[0] >= 500
+    assert min(counts[1:]) > 60
+    monkeypatch.setattr(tasks, "VALIDATION", [(seed, 4, design) for seed, _, design in tasks.VALIDATION])
+    found, split = TASKS["T3"].validation(), TASKS["T3"].load(30, tested=30)
+    assert found.kinds[4:12] == ("pants",) * 4 + ("jumpsuit",) * 4
+    seed, _, design = tasks.VALIDATION[3]
+    hoods = GeneratedGarments(4, seed, stage="pattern", drape=None, design=design, fields=["design"])
+    assert all("hoodie" in garment_type(hoods[k]["design"])["styles"] for k in range(4))
+    for other in (split.train, split.check, split.test):
+        assert not np.isin(found.designs, other.designs).any()
+        assert not np.isin(found.bodies, other.bodies).any()
 
 
 CPU = torch.device("cpu")

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.reconstruction.scoring.legacy import PRESETS, legacy_scores
+from benchmarks.reconstruction.legacy import PRESETS, legacy_scores, main
 from gcd_dataset.curves import LINE, Curve, Quadratic
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
-from gcd_dataset.spec import read_pattern
+from gcd_dataset.spec import read_pattern, write_pattern
 
 SQUARE = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]
 TRIANGLE = SQUARE[:3]
@@ -213,3 +213,15 @@ def test_what_presets_make_of_the_same_garment(
         return
     assert found["panel_l2"] == pytest.approx(shape, rel=0.02, abs=1e-6)
     assert stitch == pytest.approx(stitches, abs=0.05)
+
+
+def test_presets_of_two_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for folder in ("answers", "truth"):
+        (tmp_path / folder).mkdir()
+        write_pattern(TRUE, tmp_path / folder / "napkins.json")
+    folders = [str(tmp_path / "answers"), str(tmp_path / "truth")]
+    assert main([*folders, "--preset", "stitched", "--preset", "aipparel"]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert {line.split(".")[0] for line in printed} == {"stitched", "aipparel"}
+    assert main([folders[0], str(tmp_path / "nowhere"), "--preset", "stitched"]) == 1
+    assert "nowhere: no such folder" in capsys.readouterr().err

@@ -49,7 +49,7 @@ def test_the_true_parameters_and_measures_draw_the_true_pattern(six: GarmentSet)
         sizes = six.measures[k].astype(float)
         pattern = drawn(Answer(six.ragged["design"][k][0], sizes, sizes))
         score = score_pattern(pattern, six.pattern(k))
-        assert score.topology_exact == 1
+        assert score.combinatorial == 1
         assert score.iou > 0.999
         assert score.transl_cm < 0.01
 

@@ -15,7 +15,6 @@ from benchmarks.reconstruction import train
 from benchmarks.reconstruction.models import panel_set
 from benchmarks.reconstruction.tasks import TASKS
 from benchmarks.reconstruction.train import UNFINISHED, main
-from benchmarks.run import main as run_case
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator import MakeConfig
 from gcd_dataset.generator.maker import make
@@ -214,23 +213,6 @@ def test_a_reference_does_not_answer_into_the_folder_of_a_training(
         (trained / name).unlink()
         del before[trained / name]
     assert main(["nearest", *small, "--out", str(trained)]) == 0
-
-
-def test_the_case_trains_and_asks_the_references(
-    tmp_path: Path, small: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    flags = [*small, *["--models", "panel_set,typical", "--steps", "1", "--batch", "4", "--out"], str(tmp_path / "out")]
-    flags += ["--report", str(tmp_path / "report.md")]
-    assert run_case(["reconstruction", *flags]) == 0
-    printed = capsys.readouterr().out
-    for name in ("panel_set_iou", "typical_stitch_f1", "train_minutes"):
-        assert f"reconstruction.{name} " in printed
-    assert "| panel_set |" in (tmp_path / "report.md").read_text()
-    path = tmp_path / "out" / "typical" / "report.json"
-    report = json.loads(path.read_text())
-    path.write_text(json.dumps({**report, "scores": {"iou": [9.0, 9.0, 9.0]}}))
-    assert run_case(["reconstruction", *flags, "--models", "typical"]) == 0
-    assert "reconstruction.typical_iou 9" not in capsys.readouterr().out  # measured again
 
 
 @pytest.mark.parametrize(

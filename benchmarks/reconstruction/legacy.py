@@ -55,8 +55,11 @@ space, from predicted to true; there the points are of the draped garment, here 
   unit). Outlines are about the mean of their points, in units of the largest distance from it (chosen).
 """
 
+import argparse
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -69,8 +72,10 @@ from gcd_dataset.curves import sample_curve
 from gcd_dataset.encodings.neuraltailor import MAX_PANELS, SCALINGS, edge_rows
 from gcd_dataset.encodings.rows import loop_corners, quaternion, top_of
 from gcd_dataset.encodings.sewformer import edge_rows_7
-from gcd_dataset.errors import ConfigError, PatternError, did_you_mean
+from gcd_dataset.errors import ConfigError, GcdError, PatternError, did_you_mean
 from gcd_dataset.records import EdgeRef, Panel, Pattern
+from gcd_dataset.scoring.answers import AnswerReader
+from gcd_dataset.scoring.garments import read_true, true_files
 
 Pair: TypeAlias = tuple[Pattern | None, Pattern]
 
@@ -406,3 +411,27 @@ def _share(part: float, whole: float) -> float:
 
 def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values)) if len(values) else float("nan")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the scores of presets; see ``gcd score`` for the folders. Returns the exit code; exits 2 for wrong usage."""
+    parser = argparse.ArgumentParser(prog="benchmarks.reconstruction.legacy", description=main.__doc__)
+    parser.add_argument("answers", type=Path, metavar="ANSWERS")
+    parser.add_argument("truth", type=Path, metavar="TRUTH")
+    parser.add_argument("--preset", action="append", choices=PRESETS, required=True, metavar="NAME")
+    parser.add_argument("--form", default="", metavar="NAME")
+    options = parser.parse_args(arguments)
+    try:
+        true = {name: read_true(path) for name, path in sorted(true_files(options.truth).items())}
+        answers = {name: answer.pattern for name, answer in AnswerReader(options.form).read(options.answers).items()}
+        for preset in options.preset:
+            scores = legacy_scores(preset, [answers.get(name) for name in true], list(true.values()))
+            print(*(f"{preset}.{name} {value:.4g} as published" for name, value in scores.items()), sep="\n")
+    except GcdError as error:
+        print(f"legacy: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -5,12 +5,15 @@ uniformly by area; their distances to a mesh are distances to its nearest triang
 to itself is 0 and not the spacing of the points.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import SpecError
@@ -21,6 +24,7 @@ from gcd_dataset.generator.quality import sample_surface
 WORST = 100.0  # cm: the distance of a failed prediction, and the largest that is reported
 SAMPLES = 4096  # points of a surface
 NEIGHBOURS = 12  # points of a cloud whose plane is the surface near a point
+ALONG_RIM = 8  # points of a mesh edge of an opening
 SMALLEST = 5.0  # cm: an input whose largest extent is smaller is in metres
 ENDINGS = (".ply", ".obj", ".glb", ".stl", ".npy")
 
@@ -80,15 +84,41 @@ class Cloud:
 
 
 def distance(one: Shape, other: Shape, *, both_ways: bool = True) -> float:
-    """The mean distance of two surfaces, at most ``WORST`` [cm].
+    """The mean distance of two surfaces, at most ``WORST`` [cm]; ``both_ways`` as in ``mean_and_p95``."""
+    return mean_and_p95(one, other, both_ways=both_ways)[0]
+
+
+def mean_and_p95(one: Shape, other: Shape, *, both_ways: bool = True) -> tuple[float, float]:
+    """The mean distance of two surfaces, and the larger 95th percentile of both ways, at most ``WORST`` [cm].
 
     ``both_ways=False``: only from the points of ``one`` to ``other``, for a ``one`` that is a part of the whole.
     """
-    means = [other.distances(one.samples).mean()]
-    if both_ways:
-        means.append(one.distances(other.samples).mean())
-    found = float(np.mean(means))
-    return min(found, WORST) if np.isfinite(found) else WORST
+    ways = [other.distances(one.samples)] + ([one.distances(other.samples)] if both_ways else [])
+    found = np.mean([way.mean() for way in ways]), np.max([np.percentile(way, 95) for way in ways])
+    mean, p95 = np.minimum(np.nan_to_num(found, nan=WORST, posinf=WORST), WORST).tolist()
+    return mean, p95
+
+
+def openings_of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> list[Float[np.ndarray, "n 3"]]:
+    """Points [cm] on each opening of a sewn mesh: hem, sleeve end, neckline, waist or slit, a loop of unsewn edges."""
+    sides, times = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0, return_counts=True)
+    rim = sides[times == 1]
+    touching = coo_matrix((np.ones(len(rim)), rim.T), shape=(len(vertices),) * 2)
+    number = connected_components(touching, directed=False)[1][rim[:, 0]]
+    start, end = np.asarray(vertices, float)[rim.T][:, :, None]
+    points = start + np.linspace(0, 1, ALONG_RIM, endpoint=False)[:, None] * (end - start)
+    return [points[number == one].reshape(-1, 3) for one in np.unique(number)]
+
+
+def openings_apart(one: Sequence[Float[np.ndarray, "n 3"]], other: Sequence[Float[np.ndarray, "m 3"]]) -> float:
+    """The largest mean distance of an opening of either mesh from the openings of the other, at most ``WORST`` [cm].
+
+    0 for two meshes without an opening, ``WORST`` if one of them has none.
+    """
+    if not (one and other):
+        return 0.0 if not (one or other) else WORST
+    ways = ((one, cKDTree(np.concatenate(other))), (other, cKDTree(np.concatenate(one))))
+    return min(WORST, max(float(tree.query(rim)[0].mean()) for rims, tree in ways for rim in rims))
 
 
 def input_files(folder: Path) -> dict[str, Path]:

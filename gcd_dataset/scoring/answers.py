@@ -1,17 +1,18 @@
-"""Read predictions of published models and write them as specification files that ``evaluate`` scores.
+"""Answers of any model as patterns, read from the files that it writes.
 
-    python -m benchmarks.reconstruction.importing FORMAT FILE... --out DIR
-    python -m benchmarks.reconstruction.evaluate DIR TRUTH
+A file is
 
-FORMAT names the model. A FILE is a specification JSON as NeuralTailor, SewFormer, SewingLDM and AIpparel write it,
-AIpparel's tokens as JSON, the arrays of a model's output as npz, npy or pt, or a folder of such files. Each garment
-becomes DIR/NAME_specification.json. A garment that cannot be read is named on stderr and left out: ``evaluate`` counts
-it as a failure. Exit code 0; 1 if no garment could be read or the options are wrong.
+- a specification JSON as this package and GarmentCode write it; with ``form`` ``neuraltailor``, ``sewformer``,
+  ``sewingldm`` or ``aipparel`` as these models write it, with their faults repaired and named;
+- AIpparel's tokens as JSON, ``{"tokens": [...], "values": {"<pattern_cmd_LINE>": [[x, y], ...], ...}}``;
+- ReWeaver's flattened panels as JSON, ``{"panels": {"0": {"edge_points": [[[x, y], ...], ...]}, ...}}`` [cm], with
+  ``curves``, the curve of each edge: edges of two panels with the same curve are sewn together;
+- ``design_params.yaml`` of GarmentCode, drawn for the body of its garment;
+- arrays as npz, npy, pt: ``panels``, ``edges`` and ``stitches`` of a ``PatternTensor``, or a model's output.
+
+An answer that cannot be read is a failure with a reason, and stops nothing.
 """
 
-import argparse
-import re
-import sys
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,89 +24,152 @@ from typing import Any
 
 import numpy as np
 
+from gcd_dataset.curves import LINE, Quadratic, signed_area, to_frame
 from gcd_dataset.encodings import aipparel, garmentdiffusion, neuraltailor, sewformer, sewingldm
 from gcd_dataset.encodings.rows import Scaling
 from gcd_dataset.encodings.specifications import read_prediction
-from gcd_dataset.errors import ConfigError, GcdError, PatternError, SpecError, shown
-from gcd_dataset.files import make_folder
+from gcd_dataset.errors import ConfigError, GcdError, PatternError, SpecError, did_you_mean, shown
 from gcd_dataset.jsonfile import JsonPath, read_json
-from gcd_dataset.records import Pattern
-from gcd_dataset.spec import write_pattern
+from gcd_dataset.records import Edge, EdgeRef, Measurements, Panel, Pattern, Placement, Seam
+from gcd_dataset.scoring.garments import garment_name, require_size
+from gcd_dataset.spec import pattern_from_spec
+from gcd_dataset.tensors import PatternTensor, decode_pattern, sewn_rows
 
 ARRAY_FILES = (".npz", ".npy", ".pt", ".pth")
-FILES = (".json", *ARRAY_FILES)
-PREDICTED = re.compile(r"_*pred(icted|iction)?(_single)?(_[0-9.e-]+)?_*$")  # …_predicted_, …_predicted_single_, …_pred
+DESIGN_FILES = (".yaml", ".yml")
+FILES = (".json", *DESIGN_FILES, *ARRAY_FILES)
 UNREADABLE = (
     OSError, ValueError, TypeError, EOFError, KeyError, RuntimeError, MemoryError, UnpicklingError, zipfile.BadZipFile,
 )  # fmt: skip
+STRAIGHT = 0.01  # of the chord: rise of a control point from which an edge is curved
 MOST_ROWS = 5000  # edges of a garment's arrays; their distances take 200 MB, and the largest network has 1,443
 SINGLE = ""  # name of the array of a file that holds one
-NAMELESS = frozenset({"", "NNSewingPattern", "specification", "template"})  # such files are named by their folder
+TENSORS = ("panels", "edges", "stitches")
 
 
 @dataclass(frozen=True)
-class Prediction:
-    """A prediction that was read."""
+class Answer:
+    """An answer that was read, or the reason why it cannot be."""
 
-    pattern: Pattern
+    path: Path
+    pattern: Pattern | None
+    failure: str = ""
     remarks: tuple[str, ...] = ()
     """Repairs, a sentence each."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command. Returns the exit code; exits 2 for wrong usage."""
-    options = _parser().parse_args(arguments)
+@dataclass(frozen=True)
+class AnswerReader:
+    """How answers are read. Raises ``ConfigError`` for an unknown form."""
+
+    form: str = ""
+    """The model that wrote the files, one of ``FORMS``; empty: files that tell themselves what they are."""
+    raw: bool = False
+    """Whether arrays and tokens of a model are in cm, not in the network's units."""
+    panels: Sequence[str] = ()
+    """Names of the panels of arrays, in their order, in place of the network's own."""
+    size_of: Callable[[str], Measurements] | None = None
+    """The measures of a garment's wearer, for ``design_params.yaml``."""
+
+    def __post_init__(self) -> None:
+        if self.form and self.form not in FORMS:
+            raise ConfigError(f"form {self.form}: give one of {', '.join(FORMS)}{did_you_mean(self.form, FORMS)}")
+
+    def read(self, folder: Path) -> dict[str, Answer]:
+        """The answers in a folder, by garment. Raises ``SpecError`` for a folder without files, or two of one name."""
+        found: dict[str, Answer] = {}
+        for path in _files(folder, self.form):
+            for name, answer in self.read_file(path):
+                if name in found:
+                    raise SpecError(f"{path}: {found[name].path} is named {shown(name)}, too: leave one of them")
+                found[name] = answer
+        return found
+
+    def read_file(self, path: Path) -> Iterator[tuple[str, Answer]]:
+        """Garment and answer of a file; several for arrays with a first axis of garments."""
+        name = garment_name(path)
+        try:
+            if path.suffix.lower() in ARRAY_FILES:
+                for title, decode in self._arrays(path, name):
+                    yield title, _attempt(lambda decode=decode: (decode(), ()), path)  # type: ignore[misc]
+            else:
+                yield name, _attempt(partial(self._text, path, name), path)
+        except GcdError as error:
+            yield name, Answer(path, None, _reason(error, path))
+
+    def _text(self, path: Path, name: str) -> tuple[Pattern, tuple[str, ...]]:
+        if path.suffix.lower() in DESIGN_FILES:
+            return self._drawn(path, name), ()
+        tree = read_json(path, "answer")
+        if isinstance(tree, Mapping) and "pattern" not in tree:
+            if "tokens" in tree:
+                return aipparel.decode(_tokens(tree, path, raw=self.raw), name), ()
+            if "panels" in tree:
+                return _flattened(tree, path, name), ()
+        if self.form:
+            return read_prediction(tree, name, source=str(path))
+        return pattern_from_spec(tree, name, source=str(path)), ()
+
+    def _drawn(self, path: Path, name: str) -> Pattern:
+        from gcd_dataset.generator.garments import read_design
+        from gcd_dataset.generator.garments.rules import DrawnGarment
+
+        if self.size_of is None:
+            raise SpecError("a design is drawn for the body of its garment: give --bodies")
+        return DrawnGarment.of(self.size_of(name), read_design(path), name=name).pattern
+
+    def _arrays(self, path: Path, name: str) -> Iterator[tuple[str, Callable[[], Pattern]]]:
+        """Name and decoder of each garment of a file of arrays. Raises ``GcdError`` for what is no such file."""
+        arrays = _read_arrays(path)
+        if not self.form:
+            yield name, partial(_from_tensors, arrays, name)
+            return
+        if self.form not in ARRAYS:
+            raise SpecError(f"{self.form} has no arrays: give a JSON file, or the form {', '.join(ARRAYS)}")
+        reader = ARRAYS[self.form]
+        names = [str(item) for item in arrays.pop("names", np.zeros(0, str)).reshape(-1).tolist()]
+        for number, (title, part) in enumerate(_garments(arrays, reader, path, name)):
+            title = names[number] if number < len(names) else title
+            if (rows := int(np.prod(part[reader.main].shape[:-1]))) > MOST_ROWS:
+                raise SpecError(
+                    f"{shown(title)}: {reader.main} hold {rows} edges, more than {MOST_ROWS}: give one garment, or a "
+                    "first axis of garments"
+                )
+            yield title, partial(reader.decode, part, title, self.raw, self.panels or reader.panels)
+
+
+def _attempt(read: Callable[[], tuple[Pattern, tuple[str, ...]]], path: Path) -> Answer:
     try:
-        written, failed = _import(options)
+        with np.errstate(all="ignore"):  # numbers without bounds overflow before they are refused
+            pattern, remarks = read()
+        require_size(pattern)
+        if not pattern.panels:
+            raise PatternError("no panel with an edge: the model predicted nothing")
+        return Answer(path, pattern, remarks=remarks)
     except GcdError as error:
-        print(f"importing: {error}", file=sys.stderr)
-        return 1
-    print(f"importing.garments {written} garments")
-    print(f"importing.failed {failed} garments")
-    return 0 if written else 1
+        return Answer(path, None, _reason(error, path))
 
 
-def read_garments(
-    form: str, path: Path, *, raw: bool = False, panels: Sequence[str] = ()
-) -> Iterator[Prediction | GcdError]:
-    """The garments of a file: several for arrays with a first axis of garments.
+def _reason(error: GcdError, path: Path) -> str:
+    return str(error).removeprefix(f"{path}: ")
 
-    ``raw``: arrays are in cm, not in the network's units; ``panels``: names of the panels of arrays, in their order, in
-    place of the network's own. A garment that cannot be decoded gives its error; raises
-    ``GcdError`` for a file that cannot be read at all.
+
+def _files(path: Path, form: str) -> list[Path]:
+    """The answers in a folder: of the first kind of file that it holds at its top, else at any depth.
+
+    Of the specifications in a folder beside each other those named as predictions count, if there are any: models copy
+    the true ones there. Raises ``SpecError`` for a folder without answers.
     """
-    name = garment_name(path)
-    if path.suffix == ".json":
-        tree = read_json(path, "prediction")
-        if form == "aipparel" and isinstance(tree, Mapping) and "pattern" not in tree:
-            yield _attempt(lambda: Prediction(aipparel.decode(_tokens(tree, path, raw=raw), name)), path, name)
-        else:
-            yield Prediction(*read_prediction(tree, name, source=str(path)))
-        return
-    if form not in ARRAYS:
-        raise ConfigError(f"{path}: {form} has no arrays: give a JSON file, or one of {', '.join(ARRAYS)}")
-    reader = ARRAYS[form]
-    arrays = _read_arrays(path)
-    names = [str(item) for item in arrays.pop("names", np.zeros(0, str)).reshape(-1).tolist()]
-    for number, (title, part) in enumerate(_garments(arrays, reader, path, name)):
-        title = names[number] if number < len(names) else title
-        if (rows := int(np.prod(part[reader.main].shape[:-1]))) > MOST_ROWS:
-            raise SpecError(
-                f"{path}: {shown(title)}: {reader.main} hold {rows} edges, more than {MOST_ROWS}: give one garment, or "
-                "a first axis of garments"
-            )
-        read = partial(reader.decode, part, title, raw, panels or reader.panels)
-        yield _attempt(lambda read=read: Prediction(read()), path, title)  # type: ignore[misc]
-
-
-def garment_name(path: Path) -> str:
-    """The garment that a file is named after; models name some of their files by their folder.
-
-    >>> garment_name(Path("dress_12/_predicted_specification.json")), garment_name(Path("out/dress_12.npz"))
-    ('dress_12', 'dress_12')
-    """
-    stem = PREDICTED.sub("", path.stem.removesuffix("specification").rstrip("_"))
-    return path.resolve().parent.name if stem in NAMELESS else stem
+    if not path.is_dir():
+        raise SpecError(f"{path}: no such folder: give a folder of answers")
+    kinds = ((ARRAY_FILES,) if form in ARRAYS else ()) + ((".json",), DESIGN_FILES, ARRAY_FILES)
+    for found in (path.glob("*"), path.rglob("*")):
+        files = sorted(file for file in found if file.suffix.lower() in FILES)
+        for kind in kinds:
+            if chosen := [file for file in files if file.suffix.lower() in kind]:
+                predicted = {file.parent for file in chosen if "pred" in file.stem}
+                return [file for file in chosen if "pred" in file.stem or file.parent not in predicted]
+    raise SpecError(f"{path}: no answers: it should hold NAME.json, NAME_design_params.yaml or NAME.npz")
 
 
 # --------------------------------------------------------------------------------------------------------------- arrays
@@ -220,7 +284,8 @@ ARRAYS = {
     "sewingldm": ArrayReader("samples", 3, (), (), _sewingldm, sewingldm.SLOT_NAMES),
     "garmentdiffusion": ArrayReader("edges", 3, (), (), _garmentdiffusion),
 }
-FORMATS = ("specification", *ARRAYS, "aipparel")
+FORMS = ("specification", *ARRAYS, "aipparel")
+"""``specification`` repairs the faults of a specification."""
 
 
 def _garments(
@@ -292,6 +357,69 @@ def _real(values: np.ndarray) -> np.ndarray:
     return values.astype(float)
 
 
+def _from_tensors(arrays: Mapping[str, np.ndarray], name: str) -> Pattern:
+    """The pattern of a ``PatternTensor``'s arrays."""
+    if missing := [key for key in TENSORS if key not in arrays]:
+        raise SpecError(f"no array {', '.join(missing)}: save {', '.join(TENSORS)}, or name the model with --form")
+    panels, edges, stitches = (arrays[key] for key in TENSORS)
+    if panels.ndim != 2 or edges.ndim != 2 or stitches.ndim != 2:
+        raise SpecError("panels, edges and stitches are not all tables: save those of one garment in a file")
+    return decode_pattern(
+        PatternTensor(
+            panels,
+            edges,
+            stitches.astype(int),
+            sewn_rows(len(stitches)),
+            tuple(map(str, range(len(panels)))),
+            name=name,
+        )
+    )
+
+
+def _flattened(tree: Mapping[str, Any], path: Path, name: str) -> Pattern:
+    """ReWeaver's panels: each edge by points, the edges in any order and direction, without a place in space."""
+    at = JsonPath(str(path))
+    panels, refs = [], dict[Any, list[EdgeRef]]()
+    for key, entry in at.mapping(tree["panels"], "panels").items():
+        within = at.within(f"panel {key}")
+        curves = list(within.mapping(entry, "").get("curves", ()))
+        try:
+            lines = [np.array(points, float) for points in within.list_of(entry, "edge_points")]
+            panel, rows = _chained(str(key), lines)
+        except (TypeError, ValueError, IndexError) as cause:
+            raise within.error("edge_points are no lists of points [x, y]: give two points or more an edge") from cause
+        panels.append(panel)
+        for place, row in enumerate(rows):
+            if row < len(curves):
+                refs.setdefault(curves[row], []).append(EdgeRef(panel.name, place))
+    return Pattern(name, tuple(panels), tuple(Seam(two[0], two[1]) for two in refs.values() if len(two) == 2))
+
+
+def _chained(name: str, lines: list[np.ndarray]) -> tuple[Panel, list[int]]:
+    """The panel of edges that are joined end to nearest end, counter-clockwise, and the row of each edge."""
+    rows, chain, left = [0], [lines[0]], set(range(1, len(lines)))
+    while left:
+        end = chain[-1][-1]
+        row, flip = min(
+            ((row, flip) for row in left for flip in (False, True)),
+            key=lambda each: float(np.hypot(*(lines[each[0]][-1 if each[1] else 0] - end))),
+        )
+        left.remove(row)
+        rows.append(row)
+        chain.append(lines[row][::-1] if flip else lines[row])
+    if signed_area(np.concatenate([line[:-1] for line in chain])) < 0:
+        rows, chain = rows[::-1], [line[::-1] for line in chain[::-1]]
+    corners = np.array([line[0] for line in chain])
+    edges = []
+    for k, line in enumerate(chain):
+        start, end = corners[k], corners[(k + 1) % len(chain)]
+        middle = line[len(line) // 2] if len(line) % 2 else line[len(line) // 2 - 1 :][:2].mean(axis=0)
+        x, y = (2 * middle - 0.5 * (start + end)).tolist()
+        bent = to_frame((start[0], start[1]), (end[0], end[1]), (x, y))
+        edges.append(Edge(k, (k + 1) % len(chain), Quadratic(bent) if abs(bent[1]) > STRAIGHT else LINE))
+    return Panel(name, corners, tuple(edges), Placement(np.zeros(3), np.zeros(3))), rows
+
+
 def _tokens(tree: Mapping[str, Any], path: Path, *, raw: bool) -> aipparel.AIpparelTokens:
     """AIpparel's tokens from a JSON object with ``tokens`` and ``values``."""
     at = JsonPath(str(path))
@@ -314,112 +442,3 @@ def _unscaled(command: str, rows: np.ndarray) -> np.ndarray:
         return np.concatenate([aipparel.SCALINGS["translations"].undo(rows[:, :3]), rows[:, 3:]], axis=1)
     points = rows.reshape(len(rows), -1, 2)
     return aipparel.SCALINGS["vertices"].undo(points).reshape(rows.shape)
-
-
-# -------------------------------------------------------------------------------------------------------------- command
-
-
-def _parser() -> argparse.ArgumentParser:
-    title, _, rest = (__doc__ or "").partition("\n")
-    parser = argparse.ArgumentParser(
-        prog="benchmarks.reconstruction.importing",
-        description=f"{title}\n{rest}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    parser.add_argument("format", choices=FORMATS, metavar="FORMAT", help=", ".join(FORMATS))
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="predictions, or folders of them")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the specification files")
-    parser.add_argument("--raw", action="store_true", help="arrays and tokens hold cm, not the network's units")
-    parser.add_argument(
-        "--panels",
-        type=Path,
-        metavar="FILE",
-        help="JSON list of the names of the panels of arrays, in their order; presets that match panels by name need "
-        "the names of the true patterns",
-    )
-    parser.add_argument("--quiet", action="store_true", help="no line for each repair")
-    return parser
-
-
-def _import(options: argparse.Namespace) -> tuple[int, int]:
-    """Numbers of garments written and failed. Raises ``GcdError`` for wrong options."""
-    paths = [file for path in options.files for file in _files(path, options.format)]
-    panels = _names(options.panels) if options.panels is not None else ()
-    make_folder(options.out)
-    origin: dict[str, Path] = {}
-    failed = 0
-    for path in paths:
-        try:
-            for garment in read_garments(options.format, path, raw=options.raw, panels=panels):
-                if isinstance(garment, GcdError):
-                    failed += 1
-                    print(f"importing: {garment}", file=sys.stderr)
-                else:
-                    _write(garment, path, options.out, origin, quiet=options.quiet)
-        except (SpecError, PatternError) as error:
-            failed += 1
-            print(f"importing: {error}", file=sys.stderr)
-    written = {f"{name}_specification.json" for name in origin}
-    others = sorted(path.name for path in options.out.glob("*_specification.json") if path.name not in written)
-    if others:
-        text = f"{len(others)} files that this import did not write, such as {others[0]}"
-        print(f"importing: {options.out} holds {text}: evaluate scores them, too", file=sys.stderr)
-    return len(origin), failed
-
-
-def _write(garment: Prediction, path: Path, out: Path, origin: dict[str, Path], *, quiet: bool) -> None:
-    name = garment.pattern.name
-    if name in origin:
-        raise ConfigError(f"{path}: {origin[name]} is named {shown(name)}, too: rename one, or import it elsewhere")
-    if name in (".", "..") or "/" in name or not name.isprintable():
-        raise ConfigError(f"{path}: {shown(name)} is no name for a file: rename the garment")
-    origin[name] = path
-    write_pattern(garment.pattern, out / f"{name}_specification.json")
-    if not quiet:
-        for remark in garment.remarks:
-            print(f"importing: {path}: {remark}", file=sys.stderr)
-
-
-def _files(path: Path, form: str) -> list[Path]:
-    """The predictions of a folder; a file as it is.
-
-    Of the specifications in a folder beside each other those named as predictions count, if there are any: the models
-    copy the true ones there.
-    """
-    if not path.is_dir():
-        return [path]
-    if arrays := sorted(file for file in path.rglob("*") if file.suffix in ARRAY_FILES) if form in ARRAYS else []:
-        return arrays
-    found = sorted(path.rglob("*.json"))
-    specifications = [file for file in found if file.stem.endswith("specification")] or found
-    predicted = {file.parent for file in specifications if "pred" in file.stem}
-    kept = [file for file in specifications if "pred" in file.stem or file.parent not in predicted]
-    if not kept:
-        raise SpecError(f"{path}: no prediction: it should hold files that end in {', '.join(FILES)}")
-    return kept
-
-
-def _names(path: Path) -> list[str]:
-    """The names in a JSON list. Raises ``ConfigError``."""
-    names = read_json(path, "JSON list of panel names", error=ConfigError)
-    if not (isinstance(names, list) and all(isinstance(name, str) for name in names) and len(set(names)) == len(names)):
-        raise ConfigError(f"{path}: no list of names, each once: give one name for each panel of the arrays")
-    return names
-
-
-def _attempt(read: Callable[[], Prediction], path: Path, name: str) -> Prediction | GcdError:
-    """The garment, or its error with the file and the garment in front."""
-    try:
-        with np.errstate(all="ignore"):  # numbers without bounds overflow before they are refused
-            garment = read()
-        if not garment.pattern.panels:
-            raise PatternError("no panel with an edge: the model predicted nothing; leave it out")
-        return garment
-    except GcdError as error:
-        text = str(error)
-        return type(error)(text if text.startswith(str(path)) else f"{path}: {shown(name)}: {text}")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -4,48 +4,38 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 
-from benchmarks.reconstruction.garments import GarmentSet, generated
-from benchmarks.reconstruction.judging import Patterns, draw_mesh, judge_of, score_measures
-from benchmarks.reconstruction.models import baselines
-from benchmarks.reconstruction.models.baselines import box_mesh, mean_measures, nearest_labels, nearest_measures
-from benchmarks.reconstruction.models.measures import scans_of
-from benchmarks.reconstruction.scoring.bodies import wearers_of
-from benchmarks.reconstruction.scoring.distances import (
+from gcd_dataset.curves import Cubic
+from gcd_dataset.errors import BodyError, GcdError, SpecError
+from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
+from gcd_dataset.records import Edge, Panel, Pattern, Placement, Seam
+from gcd_dataset.scoring.answers import AnswerReader
+from gcd_dataset.scoring.bodies import Wearers, wearers_of
+from gcd_dataset.scoring.distances import (
     WORST,
     Cloud,
     MeshShape,
     Shape,
     distance,
     input_files,
+    openings_apart,
+    openings_of,
     read_shape,
 )
-from benchmarks.reconstruction.scoring.draping import arranged, with_drapes
-from benchmarks.reconstruction.scoring.garments import (
+from gcd_dataset.scoring.draping import arranged, panels_alike, with_drapes
+from gcd_dataset.scoring.garments import (
     box_mesh_distance,
-    garment_files,
     kind_of,
-    match_folders,
+    remarks_of,
     score_garment,
+    true_files,
 )
-from benchmarks.reconstruction.tasks import task_named
-from gcd_dataset.curves import Cubic
-from gcd_dataset.errors import BodyError, GcdError, SpecError
-from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.garments import design_from_dict, draw_garment
-from gcd_dataset.generator.lay_plan import PALETTE
-from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.measurements import ANGLES, MEASURES
-from gcd_dataset.records import Edge, Panel, Pattern, Placement, Seam
-from gcd_dataset.spec import read_pattern
-from tests.benchmarks.reconstruction.conftest import SKIRTS
-from tests.test_metrics import SAME, each, garment
+from tests.test_metrics import SAME, drawn_from_behind, each, garment
 
 
 @pytest.fixture(scope="module")
@@ -65,17 +55,12 @@ def write(folder: Path, *names: str) -> Path:
     return folder
 
 
-def test_files_are_matched_by_the_garments_name(tmp_path: Path) -> None:
-    truth = write(tmp_path / "truth", "dress_specification.json", "skirt.json", "top_specification.json")
-    predictions = write(tmp_path / "predictions", "dress.json", "skirt_specification.json", "cape.json")
-    folders = match_folders(predictions, truth)
-    assert [(case.name, case.predicted is not None) for case in folders.cases] == [
-        ("dress", True),
-        ("skirt", True),
-        ("top", False),
-    ]
-    assert folders.unknown == ("cape",)
-    missing, unknown = folders.remarks()
+def test_answers_are_matched_by_the_garments_name(tmp_path: Path) -> None:
+    truth = true_files(write(tmp_path / "truth", "dress_specification.json", "skirt.json", "top_specification.json"))
+    answers = AnswerReader().read(write(tmp_path / "answers", "dress.json", "skirt_specification.json", "cape.json"))
+    assert sorted(truth) == ["dress", "skirt", "top"]
+    assert sorted(answers) == ["cape", "dress", "skirt"]
+    missing, unknown = remarks_of(answers, truth)
     assert "1 of 3 garments" in missing and "top" in missing
     assert "cape" in unknown
 
@@ -83,19 +68,19 @@ def test_files_are_matched_by_the_garments_name(tmp_path: Path) -> None:
 def test_files_in_a_folder_for_each_garment(tmp_path: Path) -> None:
     """The layout of the published data, and of predictions named after their folder."""
     folder = write(tmp_path / "truth", "a/dress/dress_specification.json", "a/skirt/specification.json")
-    assert sorted(garment_files(folder)) == ["dress", "skirt"]
+    assert sorted(true_files(folder)) == ["dress", "skirt"]
 
 
 def test_folders_that_cannot_be_matched(tmp_path: Path) -> None:
-    truth = write(tmp_path / "truth", "dress.json")
-    with pytest.raises(SpecError, match="no file is named as one of"):
-        match_folders(write(tmp_path / "other", "shirt.json"), truth)
-    with pytest.raises(SpecError, match="no specification files"):
-        match_folders(write(tmp_path / "empty"), truth)
-    with pytest.raises(SpecError, match="no such folder"):
-        match_folders(tmp_path / "nowhere", truth)
-    with pytest.raises(SpecError, match="the same garment"):
-        garment_files(write(tmp_path / "twice", "dress.json", "dress_specification.json"))
+    with pytest.raises(SpecError, match="no answer is named as a garment"):
+        list(remarks_of(["shirt"], ["dress"]))
+    for read, files in ((true_files, "specification files"), (AnswerReader().read, "answers")):
+        with pytest.raises(SpecError, match=f"no {files}"):
+            read(write(tmp_path / "empty"))
+        with pytest.raises(SpecError, match="no such folder"):
+            read(tmp_path / "nowhere")
+        with pytest.raises(SpecError, match="leave one of them"):
+            read(write(tmp_path / "twice", "dress.json", "dress_specification.json"))
 
 
 @pytest.mark.parametrize(
@@ -205,6 +190,14 @@ def test_bodies_of_a_folder(tmp_path: Path) -> None:
     assert np.ptp(male.vertices[:, 1]) > np.ptp(build_body(neutral_shape()).vertices[:, 1])
 
 
+def test_an_answer_without_a_body_of_its_own_is_worn_by_the_neutral_one(tmp_path: Path) -> None:
+    shape = draw_shape(np.random.default_rng(3))
+    np.save(tmp_path / "dress.npy", shape.weights)
+    own = Wearers(tmp_path, "neutral", {})
+    assert own.wearer("dress", legs_apart=False)[1].height == pytest.approx(measure(build_body(shape)).height)
+    assert own.wearer("cape", legs_apart=False)[1] == wearers_of("neutral").wearer("cape", legs_apart=False)[1]
+
+
 def test_missing_and_broken_bodies(tmp_path: Path) -> None:
     np.save(tmp_path / "dress.npy", np.zeros(3))
     wearers = wearers_of(str(tmp_path))
@@ -248,105 +241,64 @@ def test_arranging_keeps_panels_and_seams_without_a_match() -> None:
     assert len(found.panels[-1].edges) == 3
 
 
+def test_the_openings_of_a_tube_are_its_two_ends() -> None:
+    """A tube that is 4 cm shorter at one end has this end 4 cm away, whatever its mean distance is."""
+    tube = trimesh.creation.cylinder(10.0, 60.0, sections=64)
+    faces = np.array([face for face in tube.faces if np.ptp(tube.vertices[face, 2]) > 1.0])
+    ends = openings_of(tube.vertices, faces)
+    assert sorted(float(end[:, 2].mean()) for end in ends) == [-30.0, 30.0]
+    shorter = openings_of(np.minimum(tube.vertices, [99.0, 99.0, 26.0]), faces)
+    assert openings_apart(ends, ends) == 0
+    assert openings_apart(ends, shorter) == openings_apart(shorter, ends) == pytest.approx(4.0)
+    assert (openings_apart(ends, []), openings_apart([], [])) == (WORST, 0)
+
+
+def test_panels_turned_inside_out_are_not_alike() -> None:
+    mirrored = each(lambda panel: replace(drawn_from_behind(panel), placement=panel.placement))(garment())
+    assert score_garment("g", mirrored, garment()).values["iou"] == pytest.approx(1)
+    assert not panels_alike(mirrored, garment())
+    assert panels_alike(SAME["all of it"](garment()), garment())
+
+
 @pytest.mark.long
-def test_predictions_are_draped_and_compared_with_the_true_drape(skirt: Pattern) -> None:
-    """The same garment otherwise numbered, one 6 cm longer, one that cannot be sewn, and none."""
+def test_predictions_are_draped_and_compared_with_the_true_drape(skirt: Pattern, tmp_path: Path) -> None:
+    """A skirt that is lower on one side: the same one otherwise numbered, one 3 cm too short, one scaled by 0.95, its
+    mirror image, one that cannot be sewn, and none. Only the first is right."""
 
-    def longer(panel: Panel) -> Panel:
-        low = panel.vertices[:, 1] < panel.vertices[:, 1].min() + 1.0
-        return replace(panel, vertices=panel.vertices - np.outer(low, [0.0, 6.0]))
+    def lifted(pattern: Pattern, by: Callable[[np.ndarray], np.ndarray]) -> Pattern:
+        """The hem lifted by a height [cm] that depends on its place from the wearer's right to the left."""
 
+        def changed(panel: Panel) -> Panel:
+            low = panel.vertices[:, 1] < panel.vertices[:, 1].min() + 1.0
+            height = by(panel.placement.apply(panel.vertices)[:, 0]) * low
+            return replace(panel, vertices=panel.vertices + np.outer(height, [0.0, 1.0]))
+
+        return each(changed)(pattern)
+
+    true = lifted(skirt, lambda x: 5.0 * (x > 0))
     answers = {
-        "same": SAME["all of it"](skirt),
-        "longer": each(longer)(skirt),
-        "broken": each(lambda panel: replace(panel, vertices=0.001 * panel.vertices))(skirt),
+        "same": SAME["all of it"](true),
+        "short": lifted(skirt, lambda x: 3.0 + 5.0 * (x > 0)),
+        "small": each(lambda panel: replace(panel, vertices=0.95 * panel.vertices))(true),
+        "mirrored": lifted(skirt, lambda x: 5.0 * (x < 0)),
+        "broken": each(lambda panel: replace(panel, vertices=0.001 * panel.vertices))(true),
         "none": None,
     }
-    scored = [score_garment(name, pattern, skirt, spacing=8.0) for name, pattern in answers.items()]
-    rows = {r.name: r for r in with_drapes(scored, wearers_of("neutral"), spacing=8.0, device="cpu")}
+    scored = [score_garment(name, pattern, true, spacing=8.0) for name, pattern in answers.items()]
+    np.save(tmp_path / "short.npy", np.zeros(3))  # no body: an answer that brings one stops nothing
+    own = Wearers(tmp_path, "neutral", {})
+    rows = {r.name: r for r in with_drapes(scored, wearers_of("neutral"), own=own, spacing=8.0, device="cpu")}
     assert list(rows) == list(answers)
-    values = {
-        name: [row.values[key] for key in ("sim_ok", "redrape_cd_cm", "within_1cm")] for name, row in rows.items()
-    }
-    assert values["same"] == pytest.approx([1, 0, 1], abs=1e-6)
-    assert values["longer"][0] == 1
-    assert 0.1 < values["longer"][1] < 3
-    assert values["broken"] == values["none"] == [0, WORST, 0]
-    assert rows["none"].failure == "no prediction"
-
-
-# -------------------------------------------------------------------------------------------------------------- judging
-
-
-CPU = torch.device("cpu")
-
-
-def files_in(folder: Path) -> list[str]:
-    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
-
-
-@pytest.mark.parametrize(("task", "answer"), [("T4", nearest_labels), ("T5", mean_measures), ("T6", box_mesh)])
-def test_answers_are_drawn_and_written(
-    task: str, answer: Callable[..., list[Any]], draped: GarmentSet, tmp_path: Path
-) -> None:
-    answers, judge = answer(draped, draped, device=CPU), judge_of(task_named(task), watching=True)
-    assert judge.picture(answers, draped).ndim == 3
-    judge.write(answers, draped, tmp_path)
-    assert sorted(judge.files(draped)) == files_in(tmp_path)
-    assert len(judge.scores(answers, draped)) == len(draped)
-
-
-def test_the_nearer_of_two_faces_is_seen() -> None:
-    low, high = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0]], float), np.array([[0, 0, 5], [9, 0, 5], [0, 9, 5]], float)
-    vertices, faces = np.concatenate([low, high]), np.array([[0, 1, 2], [3, 4, 5]])
-    picture = draw_mesh(vertices, faces, np.array([0, 1]), frame=vertices, size=60)
-    assert np.allclose(picture[35, 25] / 255, PALETTE[1], atol=0.02)
-
-
-def test_the_evaluator_reads_inputs_and_bodies_of_draped_garments(tmp_path: Path) -> None:
-    garments = generated(2, 0, points=512, extra=("pose",), drape=None, resolution=8.0, design=SKIRTS)
-    truth = [garments.pattern(k) for k in range(2)]
-    Patterns(draped=True).write(truth, garments, tmp_path)
-    assert sorted(Patterns(draped=True).files(garments)) == files_in(tmp_path)
-    wearers = wearers_of(str(tmp_path / "bodies"))
-    for key, pattern in zip(garments.keys, truth, strict=True):
-        assert read_pattern(tmp_path / "truth" / f"{key}.json").extra["properties"]["kind"] == "skirt"
-        points = read_shape(tmp_path / "inputs" / f"{key}.npy").samples
-        places = build_box_mesh(pattern, spacing=8.0).vertices
-        assert np.abs(np.ptp(points, axis=0) - np.ptp(places, axis=0)).max() < 5.0
-        assert np.abs(points.max(axis=0) - places.max(axis=0)).max() < 5.0
-        assert 140.0 < wearers.wearer(key, legs_apart=False)[1].height < 210.0
-    Patterns().write(truth, garments, tmp_path / "flat")
-    assert not (tmp_path / "flat" / "inputs").exists()
-    assert sorted(Patterns().files(garments)) == files_in(tmp_path / "flat")
-
-
-def test_lengths_and_angles_have_errors_of_their_own() -> None:
-    true = np.full(len(MEASURES), 40.0)
-    answer = true + [3.0 if name in ANGLES else -2.0 for name in MEASURES]
-    score = score_measures(answer, true)
-    assert (score.error_cm, score.error_degrees, score.waist) == (2, 3, 2)
-    with pytest.raises(ValueError, match="25 measures"):
-        score_measures(answer[1:], true)
-
-
-def test_the_references_answer_from_known_bodies(draped: GarmentSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    scans = scans_of(draped)
-    monkeypatch.setattr(baselines, "scans_of", lambda garments, workers: scans)
-    mean = mean_measures(draped, draped, device=CPU)
-    assert np.allclose(mean[0], draped.measures.mean(axis=0), atol=1e-3)
-    for k, answer in enumerate(nearest_measures(draped, draped, device=CPU)):
-        assert np.allclose(answer, draped.measures[k])
-
-
-def test_scans_show_cloth_and_skin(draped: GarmentSet) -> None:
-    for scan in scans_of(draped):
-        heights = 100 * scan[:, 1] + 100
-        on_cloth = scan[:, 6] > 0
-        assert 0.05 < on_cloth.float().mean() < 0.95
-        assert heights.min() > -2
-        assert heights[~on_cloth].max() > heights[on_cloth].max()  # skirts end below the head
-
-
-def test_a_scan_depends_on_its_garment_alone(draped: GarmentSet) -> None:
-    assert torch.equal(scans_of(draped.select([1]))[0], scans_of(draped)[1])
+    names = ("sim_ok", "redrape_cd_cm", "openings_cm", "strict_within_1cm")
+    values = {name: [row.values[key] for key in names] for name, row in rows.items()}
+    assert values["same"] == pytest.approx([1, 0, 0, 1], abs=1e-6)
+    for name in ("short", "small", "mirrored"):
+        passed, mean, openings, right = values[name]
+        assert passed == 1
+        assert mean < 1.0  # what a mean distance of the surfaces accepts
+        assert openings > 1.5
+        assert right == rows[name].values["strict_unaided"] == 0
+    assert rows["same"].values["strict_unaided"] == 1
+    assert "drape without help" in rows["short"].remarks[-1]
+    assert values["broken"] == values["none"] == [0, WORST, WORST, 0]
+    assert rows["none"].failure == "no answer"

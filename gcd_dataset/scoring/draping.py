@@ -2,7 +2,8 @@
 
 A prediction gets the order, the local origins, the names and the labels of the true panels: they number the mesh and
 tell the solver which edges to hold, and few models predict them. So a prediction that differs from the true pattern
-only in these, or by the rounding of a file, drapes to the same bytes.
+only in these, or by the rounding of a file, drapes to the same bytes. ``strict_unaided`` gives it none of these, nor
+the body: it is draped as it is written, on its own body or the neutral one.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,17 +12,15 @@ from itertools import chain
 
 import numpy as np
 
-from benchmarks.reconstruction.scoring.bodies import Wearers
-from benchmarks.reconstruction.scoring.distances import WORST, MeshShape, Shape, distance
-from benchmarks.reconstruction.scoring.garments import Scored, mesh_of
 from gcd_dataset.curves import mirrored, sample_curve
-from gcd_dataset.errors import GcdError
+from gcd_dataset.errors import BodyError, GcdError
 from gcd_dataset.generator.drape import DrapeJob, drape_all
 from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh import coarse_start
 from gcd_dataset.generator.quality import grade_of
 from gcd_dataset.metrics import PanelPair, match_panels, matched_edges
+from gcd_dataset.metrics.scores import SAME_OUTLINE
 from gcd_dataset.records import (
     Body,
     BoxMesh,
@@ -35,12 +34,25 @@ from gcd_dataset.records import (
     Placement,
     Seam,
 )
+from gcd_dataset.scoring.bodies import Wearers
+from gcd_dataset.scoring.distances import (
+    WORST,
+    MeshShape,
+    Shape,
+    mean_and_p95,
+    openings_apart,
+    openings_of,
+)
+from gcd_dataset.scoring.garments import Scored, mesh_of
 from gcd_dataset.spec import euler_angles
 from gcd_dataset.workers import parallel_map
 
-WITHIN = 1.0  # cm: the largest distance to the input of a right reconstruction
+WITHIN, MOST_WITHIN = 1.0, 2.0  # cm: the largest mean distance of a right drape, and of 95 % of its points
+OPENINGS_WITHIN = 1.5  # cm: the largest distance of a hem, a sleeve end, a neckline or another opening
 ROUNDING = 1e-3  # cm: a panel drawn and placed this close to the true one is the true one
 TURN = 1e-5  # rad: likewise
+TRUE, AIDED, UNAIDED = range(3)
+"""Drapes of a garment: the true pattern; the answer as ``arranged``, on the true body; the answer as written."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +61,8 @@ class _Job:
 
     row: int
     """Row of the test garment."""
-    predicted: bool
+    way: int
+    """``TRUE``, ``AIDED`` or ``UNAIDED``."""
     job: DrapeJob | None
     reason: str = ""
     worn_by: tuple[str, bool] = ("", False)
@@ -58,15 +71,18 @@ class _Job:
 
 @dataclass(frozen=True, eq=False)
 class _Draped:
-    surface: MeshShape | None
-    passed: bool
     reason: str
+    passed: bool = False
+    surface: MeshShape | None = None
+    openings: Sequence[np.ndarray] = ()
+    """Points of each opening [cm]."""
 
 
 def with_drapes(
     garments: Sequence[Scored],
     wearers: Wearers,
     *,
+    own: Wearers,
     inputs: Mapping[str, Shape] | None = None,
     partial: bool = False,
     spacing: float,
@@ -75,20 +91,21 @@ def with_drapes(
 ) -> Iterator[Scored]:
     """The garments with the scores ``table.DRAPED``, in order.
 
-    ``inputs``: the surfaces from which garments were predicted; without them, the true patterns are draped, too.
-    ``partial``: inputs are parts of their garments, so only distances from the input to the drape count.
-    ``spacing``: edge length of the meshes [cm]. ``workers``: processes that dress and mesh. Raises ``BodyError`` for a
-    body that cannot be read, ``ConfigError`` for a missing device.
+    ``own``: the bodies that come with the answers, on which they are draped without help. ``inputs``: the surfaces from
+    which garments were predicted; without them, distances are to the drapes of the true patterns. ``partial``: inputs
+    are parts of their garments, so only distances from the input to the drape count. ``spacing``: edge length of the
+    meshes [cm]. ``workers``: processes that dress and mesh. Raises ``BodyError`` for a body that cannot be read,
+    ``ConfigError`` for a missing device.
     """
     waiting: list[_Job] = []
-    draped: dict[tuple[int, bool], _Draped] = {}
+    draped: dict[tuple[int, int], _Draped] = {}
     worn: dict[tuple[str, bool], tuple[Body, Measurements]] = {}
-    prepare = _Preparation(wearers, spacing, with_true=inputs is None)
+    prepare = _Preparation(wearers, own, spacing)
 
     def to_drape() -> Iterator[DrapeJob]:
         for job in chain.from_iterable(parallel_map(prepare, enumerate(garments), workers)):
             if job.job is None:
-                draped[job.row, job.predicted] = _Draped(None, False, job.reason)
+                draped[job.row, job.way] = _Draped(job.reason)
                 continue
             body, size = worn.setdefault(job.worn_by, (job.job.body, job.job.measurements))
             shared = replace(job.job, body=body, measurements=size)
@@ -96,18 +113,15 @@ def with_drapes(
             yield shared
 
     done, row = drape_all(to_drape(), device=device), 0
-    needed = (True,) if inputs is not None else (False, True)
     for number, drape in enumerate(done):
         job = waiting[number]
         assert job.job is not None
-        draped[job.row, job.predicted] = _judged(drape, job.job.box_mesh)
+        draped[job.row, job.way] = _judged(drape, job.job.box_mesh)
         waiting[number] = replace(job, job=None)  # frees the mesh
-        while row < len(garments) and all((row, predicted) in draped for predicted in needed):
+        while row < len(garments) and all((row, way) in draped for way in (TRUE, AIDED, UNAIDED)):
             yield _scored(garments[row], row, draped, inputs, partial)
             row += 1
-    while row < len(garments):
-        yield _scored(garments[row], row, draped, inputs, partial)
-        row += 1
+    yield from (_scored(garments[rest], rest, draped, inputs, partial) for rest in range(row, len(garments)))
 
 
 @dataclass(frozen=True)
@@ -115,75 +129,92 @@ class _Preparation:
     """Dresses and meshes the patterns of a garment."""
 
     wearers: Wearers
+    own: Wearers
     spacing: float
-    with_true: bool
-    """Whether the true pattern is draped, too."""
 
     def __call__(self, numbered: tuple[int, Scored]) -> list[_Job]:
         row, garment = numbered
-        legs_apart = self._has_legs(garment)
-        jobs = [self._job(row, False, garment.true, garment.name, legs_apart)] if self.with_true else []
-        if garment.predicted is None:
-            jobs.append(_Job(row, True, None, garment.failure))
-        elif not garment.values["valid"]:
-            jobs.append(_Job(row, True, None, "not valid"))
-        else:
-            jobs.append(self._job(row, True, arranged(garment.predicted, garment.true), garment.name, legs_apart))
-        return jobs
-
-    def _has_legs(self, garment: Scored) -> bool:
-        """Whether the true garment has legs, so that its wearer stands with the legs apart."""
-        if has_legs(garment.true):
-            return True
-        wearer = self.wearers.wearer(garment.name, legs_apart=False)
+        name, answer, true = garment.name, garment.predicted, garment.true
+        legs_apart = _has_legs(true, self.wearers, name)
+        jobs = [self._job(row, TRUE, true, self.wearers, name, legs_apart)]
+        if answer is None or not garment.values["valid"]:
+            return jobs + [_Job(row, way, None, garment.failure or "not valid") for way in (AIDED, UNAIDED)]
+        jobs.append(self._job(row, AIDED, arranged(answer, true), self.wearers, name, legs_apart))
         try:
-            return has_legs(dress(garment.true, *wearer).pattern)  # openings show legs once the panels are placed
-        except GcdError:
-            return False
+            return [*jobs, self._job(row, UNAIDED, answer, self.own, name, _has_legs(answer, self.own, name))]
+        except BodyError as error:
+            return [*jobs, _Job(row, UNAIDED, None, str(error))]
 
-    def _job(self, row: int, predicted: bool, pattern: Pattern, name: str, legs_apart: bool) -> _Job:
-        body, size = self.wearers.wearer(name, legs_apart=legs_apart)
+    def _job(self, row: int, way: int, pattern: Pattern, wearers: Wearers, name: str, legs_apart: bool) -> _Job:
+        body, size = wearers.wearer(name, legs_apart=legs_apart)
         try:
             mesh = mesh_of(dress(pattern, body, size).pattern, self.spacing)
             if not len(mesh.faces):
-                return _Job(row, predicted, None, "its mesh has no faces")
+                return _Job(row, way, None, "its mesh has no faces")
             coarse = coarse_start(mesh)
             start = sewing_start(coarse.mesh if coarse else mesh, body)
         except GcdError as error:
-            return _Job(row, predicted, None, str(error))
+            return _Job(row, way, None, str(error))
         job = DrapeJob(mesh, body, size, coarse=coarse, start=start)
-        return _Job(row, predicted, job, worn_by=(self.wearers.body_of(name), legs_apart))
+        return _Job(row, way, job, worn_by=(wearers.body_of(name), legs_apart))
+
+
+def _has_legs(pattern: Pattern, wearers: Wearers, name: str) -> bool:
+    """Whether a garment has legs, so that its wearer stands with the legs apart."""
+    if has_legs(pattern):
+        return True
+    try:
+        body = wearers.wearer(name, legs_apart=False)
+        return has_legs(dress(pattern, *body).pattern)  # openings show legs once the panels are placed
+    except BodyError:
+        raise
+    except GcdError:
+        return False
 
 
 def _judged(drape: Drape, mesh: BoxMesh) -> _Draped:
     passed = grade_of(drape, None) is not Grade.FAILED
     reason = "" if passed else drape.outcome.value
     if not np.isfinite(drape.vertices).all():
-        return _Draped(None, False, reason)
-    return _Draped(MeshShape.of(drape.vertices, mesh.faces), passed, reason)
+        return _Draped(reason)
+    surface, openings = MeshShape.of(drape.vertices, mesh.faces), openings_of(drape.vertices, mesh.faces)
+    return _Draped(reason, passed, surface, openings)
 
 
 def _scored(
     garment: Scored,
     row: int,
-    draped: dict[tuple[int, bool], _Draped],
+    draped: dict[tuple[int, int], _Draped],
     inputs: Mapping[str, Shape] | None,
     partial: bool,
 ) -> Scored:
-    predicted = draped.pop((row, True))
-    remarks = [f"drape of the prediction: {predicted.reason}"] if predicted.reason and not garment.failure else []
-    if inputs is None:
-        true = draped.pop((row, False))
-        target: Shape | None = true.surface
-        remarks += [f"drape of the true pattern: {true.reason}"] if true.reason else []
-    else:
-        target = inputs[garment.name]
-    apart = WORST
-    if target is not None and predicted.surface is not None:
-        apart = distance(target, predicted.surface, both_ways=not partial)
-    right = bool(garment.values["topology_exact"]) and apart <= WITHIN
-    scores = {"sim_ok": float(predicted.passed), "redrape_cd_cm": apart, "within_1cm": float(right)}
+    true, aided, unaided = (draped.pop((row, way)) for way in (TRUE, AIDED, UNAIDED))
+    target: Shape | None = true.surface if inputs is None else inputs[garment.name]
+    remarks = [f"drape of the prediction: {aided.reason}"] if aided.reason and not garment.failure else []
+    remarks += [f"drape of the true pattern: {true.reason}"] if true.reason else []
+    remarks += [f"drape without help: {unaided.reason}"] if unaided.reason and not aided.reason else []
+    alike = garment.predicted is not None and panels_alike(garment.predicted, garment.true)
+
+    def compared(drape: _Draped) -> tuple[float, float, bool]:
+        """Mean distance and distance of the openings [cm], and whether the answer is right."""
+        if target is None or drape.surface is None:
+            return WORST, WORST, False
+        mean, p95 = mean_and_p95(target, drape.surface, both_ways=not partial)
+        openings = openings_apart(true.openings, drape.openings)
+        return mean, openings, alike and mean <= WITHIN and p95 <= MOST_WITHIN and openings <= OPENINGS_WITHIN
+
+    mean, openings, right = compared(aided)
+    scores = {"sim_ok": float(aided.passed), "redrape_cd_cm": mean, "openings_cm": openings}
+    scores |= {"strict_within_1cm": float(right), "strict_unaided": float(compared(unaided)[2])}
     return replace(garment, values={**garment.values, **scores}, remarks=(*garment.remarks, *remarks))
+
+
+def panels_alike(predicted: Pattern, true: Pattern) -> bool:
+    """Whether all panels of both patterns match with an IoU of ``SAME_OUTLINE`` or more, right side to right side."""
+    pairs = match_panels(predicted, true)
+    counts = {len(pairs), len(predicted.panels), len(true.panels)}
+    outside = all(pair.predicted.matrix[:, 2] @ pair.true.matrix[:, 2] > 0 for pair in pairs)
+    return len(counts) == 1 and outside and all(pair.iou >= SAME_OUTLINE for pair in pairs)
 
 
 # ------------------------------------------------------------------------------------------------------ arranged panels
@@ -211,7 +242,8 @@ def arranged(predicted: Pattern, true: Pattern) -> Pattern:
         taken.add(name)
         panels.append(replace(panel, name=name))
         refs |= _renumbered(panel, name, 0)
-    return Pattern(true.name, tuple(panels), _ordered([_moved(seam, refs) for seam in predicted.seams], true.seams))
+    seams = [Seam(refs[seam.left], refs[seam.right], seam.right_wrong) for seam in predicted.seams]
+    return Pattern(true.name, tuple(panels), _ordered(seams, true.seams))
 
 
 def _first_edge(pair: PanelPair) -> int:
@@ -224,10 +256,6 @@ def _first_edge(pair: PanelPair) -> int:
 def _renumbered(panel: Panel, name: str, first: int) -> dict[EdgeRef, EdgeRef]:
     count = len(panel.edges)
     return {EdgeRef(panel.name, edge): EdgeRef(name, (edge - first) % count) for edge in range(count)}
-
-
-def _moved(seam: Seam, refs: Mapping[EdgeRef, EdgeRef]) -> Seam:
-    return Seam(refs[seam.left], refs[seam.right], seam.right_wrong)
 
 
 def _ordered(seams: Sequence[Seam], true: Sequence[Seam]) -> tuple[Seam, ...]:

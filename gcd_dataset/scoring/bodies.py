@@ -32,6 +32,7 @@ class Wearers:
     folder: Path | None
     """``None``: all garments are draped on the body ``name``."""
     name: str
+    """Body of garments without a body of their own; empty if each must have one."""
     table: dict[str, str]
     """Garment to body, of ``bodies.json``."""
 
@@ -45,11 +46,11 @@ class Wearers:
         path = self._file(garment)
         if path is not None:
             return _read(path, legs_apart)
-        return _named(self.name if self.folder is None else self.table[garment], legs_apart)
+        return _named(self.table.get(garment, self.name), legs_apart)
 
     def body_of(self, garment: str) -> str:
         """File or name of a garment's body. Raises ``BodyError`` if there is neither."""
-        return str(self._file(garment) or (self.name if self.folder is None else self.table[garment]))
+        return str(self._file(garment) or self.table.get(garment, self.name))
 
     def _file(self, garment: str) -> Path | None:
         """The file of a garment's body; ``None`` for a named body. Raises ``BodyError`` if there is neither."""
@@ -58,7 +59,7 @@ class Wearers:
         for stem in (self.table.get(garment, garment), *(() if garment in self.table else (DEFAULT,))):
             if (path := _body_file(self.folder, stem)) is not None:
                 return path
-        if garment in self.table:
+        if garment in self.table or self.name:
             return None
         raise BodyError(
             f"{self.folder}: no body for {shown(garment)}: add {garment}.obj, {garment}.npy, {DEFAULT}.obj, or a "

@@ -1,4 +1,4 @@
-"""The evaluator's command, as its users run it."""
+"""``gcd score``, as its users run it."""
 
 import json
 from dataclasses import replace
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.reconstruction.evaluate import main
+from gcd_dataset.cli import main
 from gcd_dataset.faults import MOST_EDGES, MOST_PANELS
 from gcd_dataset.metrics import PatternScore
 from gcd_dataset.records import Edge, Pattern
@@ -34,13 +34,13 @@ def truth(tmp_path: Path) -> Path:
 
 
 def figures(printed: str) -> dict[str, float]:
-    """The figures of lines ``evaluate.metric value unit …``."""
-    lines = [line.split() for line in printed.splitlines() if line.startswith("evaluate.")]
-    return {name.removeprefix("evaluate."): float(value) for name, value, *_ in lines}
+    """The figures of lines ``score.metric value unit …``."""
+    lines = [line.split() for line in printed.splitlines() if line.startswith("score.")]
+    return {name.removeprefix("score."): float(value) for name, value, *_ in lines}
 
 
 def run(*arguments: object) -> int:
-    return main([*map(str, arguments), "--quiet"])
+    return main(["score", *map(str, arguments), "--quiet"])
 
 
 def test_copies_are_perfect_however_they_are_written(
@@ -55,7 +55,7 @@ def test_copies_are_perfect_however_they_are_written(
     found = figures(printed.out)
     assert set(PatternScore.__dataclass_fields__) <= found.keys()
     assert (found["garments"], found["failed"]) == (4, 0)
-    for name in ("iou", "stitch_f1", "panel_count_acc", "edge_count_acc", "topology_exact", "garment_perfect"):
+    for name in ("iou", "stitch_f1", "panel_count_acc", "edge_count_acc", "combinatorial", "garment_perfect"):
         assert found[name] == 1, name
     for name in ("panel_l2", "transl_cm", "boxmesh_cd", "seam_mismatch"):
         assert found[name] == pytest.approx(0, abs=1e-2), name
@@ -69,17 +69,17 @@ def test_every_garment_is_in_the_denominator(tmp_path: Path, truth: Path, capsys
     assert run(ours, truth, "--json", tmp_path / "out.json") == 0
     printed = capsys.readouterr()
     found = figures(printed.out)
-    assert (found["garments"], found["failed"]) == (4, 2)
-    for name in ("iou", "stitch_f1", "stitch_nm_f1", "topology_exact", "valid", "panel_f1"):
+    assert (found["garments"], found["failed"]) == (4, 3)
+    for name in ("iou", "stitch_f1", "stitch_nm_f1", "combinatorial", "valid", "panel_f1"):
         assert found[name] == 0.25, name
     assert found["transl_cm"] == pytest.approx(30)
     assert found["boxmesh_cd"] == pytest.approx(75)
     table = {line.split()[0]: line for line in printed.out.splitlines() if line[:2] in ("a ", "b ", "c ", "d ")}
     assert "line 1, column 14" in table["b"]
-    assert "no prediction" in table["d"]
-    assert "no panels" in table["c"]
-    assert "1 of 4 garments without a prediction, all failures: d" in printed.err
-    assert "predictions without a true pattern, not scored: 1: z" in printed.err
+    assert "no answer" in table["d"]
+    assert "no panel with an edge" in table["c"]
+    assert "1 of 4 garments without an answer, all failures: d" in printed.err
+    assert "answers without a true pattern, not scored: 1: z" in printed.err
     tree = json.loads((tmp_path / "out.json").read_text())
     assert [row["iou"] for row in tree["garments"]] == pytest.approx([1, 0, 0, 0], abs=1e-9)
     assert tree["figures"]["iou"]["low"] <= 0.25 <= tree["figures"]["iou"]["high"]
@@ -104,18 +104,6 @@ def test_a_prediction_beyond_the_limits_of_size_is_a_failure(
     assert (figures(printed)["failed"], figures(printed)["iou"]) == (2, 0.5)
     assert f"panel disc: error: too many edges: {MOST_EDGES + 1}" in printed
     assert f"too many panels: {MOST_PANELS + 1}" in printed
-
-
-def test_a_preset_that_matches_names_says_if_no_name_matches(
-    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    numbered = tuple(replace(panel, name=f"panel_{k}") for k, panel in enumerate(garment().panels))
-    ours = save(tmp_path / "ours", dict.fromkeys("abcd", Pattern("", numbered, ())))
-    assert run(ours, truth, "--preset", "aipparel", "--preset", "stitched") == 0
-    [remark] = capsys.readouterr().err.splitlines()
-    assert "preset aipparel matches panels by name, and no predicted panel has the name of a true one" in remark
-    assert run(truth, truth, "--preset", "aipparel") == 0
-    assert capsys.readouterr().err == ""
 
 
 def test_kinds_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -147,7 +135,7 @@ def test_true_patterns_must_be_readable(
     (truth / "b_specification.json").write_text(content)
     assert run(save(tmp_path / "ours", {"a": garment()}), truth) == 1
     [line] = capsys.readouterr().err.strip().splitlines()[-1:]
-    assert line.startswith("evaluate: ")
+    assert line.startswith("gcd score: ")
     assert "b_specification.json" in line and place in line
 
 
@@ -184,7 +172,7 @@ def test_hashes_tell_what_predictions_were_scored_against(
     tmp_path: Path, truth: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of drapes that nobody computes: only what is written beside the scores matters."""
-    monkeypatch.setattr("benchmarks.reconstruction.evaluate._draped", lambda garments, *_: iter(garments))
+    monkeypatch.setattr("gcd_dataset.scoring.draping.with_drapes", lambda garments, *_, **__: iter(garments))
     ours, bodies, inputs = save(tmp_path / "ours", {"a": garment()}), tmp_path / "bodies", tmp_path / "inputs"
     for folder in (bodies, inputs):
         folder.mkdir()

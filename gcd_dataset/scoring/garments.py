@@ -1,75 +1,31 @@
-"""Predictions and true patterns as two folders of specification files, matched by file name, and their scores."""
+"""Answers and true patterns, matched by the names of their files, and their scores."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 
-from benchmarks.reconstruction.scoring.distances import WORST, MeshShape, distance
 from gcd_dataset.errors import GcdError, PatternError, SpecError, shown
 from gcd_dataset.faults import MOST_EDGES, MOST_PANELS, Rule, Severity, check_pattern
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.metrics import PanelShape, failed_score, score_pattern
+from gcd_dataset.metrics import PanelShape, PatternScore, failed_score, score_pattern
 from gcd_dataset.records import BoxMesh, Pattern
+from gcd_dataset.scoring.distances import WORST, MeshShape, distance
 from gcd_dataset.spec import is_bodice, is_trouser_leg, read_pattern
 from gcd_dataset.workers import parallel_map
 
 SPACING = 2.0  # cm: edge length of the box meshes that are compared
 MOST_CLOTH = 400_000.0  # cm²: forty square metres; a larger prediction is not meshed
-NO_PREDICTION = "no prediction"
+NO_ANSWER = "no answer"
 SIZES = (Rule.MANY_PANELS, Rule.MANY_EDGES)
-ENDINGS = ("_specification", "_predicted", "_prediction")
-"""Ends of file names that are not part of a garment's name."""
-PLAIN = frozenset({"specification", "prediction", "predicted"})  # stems of files that are named by their folder
+PREDICTED = re.compile(r"_*pred(icted|iction)?(_single)?(_[0-9.e-]+)?_*$")  # …_predicted_, …_predicted_single_, …_pred
+NAMELESS = frozenset({"", "NNSewingPattern", "specification", "template", "design_params", "prediction"})
+"""Files with these names are named by their folder."""
 MOST_NAMES = 5  # most names listed in a message
 
 
-@dataclass(frozen=True, slots=True)
-class GarmentPair:
-    """One test garment."""
-
-    name: str
-    true: Path
-    predicted: Path | None
-    """``None`` without a prediction."""
-
-
-@dataclass(frozen=True, slots=True)
-class Folders:
-    """The test garments of two folders."""
-
-    cases: tuple[GarmentPair, ...]
-    """All garments of the folder of true patterns, by name."""
-    unknown: tuple[str, ...]
-    """Predictions without a true pattern."""
-
-    def remarks(self) -> Iterator[str]:
-        """One line on the garments without a prediction, and one on the predictions without a true pattern."""
-        missing = [case.name for case in self.cases if case.predicted is None]
-        if missing:
-            yield f"{len(missing)} of {len(self.cases)} garments without a prediction, all failures: {listed(missing)}"
-        if self.unknown:
-            named = f"{len(self.unknown)}: {listed(self.unknown)}{_in_capitals(self.unknown, missing)}"
-            yield f"predictions without a true pattern, not scored: {named}: name each prediction after its garment"
-
-
-def match_folders(predictions: Path, truth: Path) -> Folders:
-    """The garments of ``truth`` with their predictions.
-
-    Raises ``SpecError`` for a missing or empty folder, or if no name occurs in both; see ``garment_files``.
-    """
-    true, predicted = garment_files(truth), garment_files(predictions)
-    if not true.keys() & predicted.keys():
-        raise SpecError(
-            f"{predictions}: no file is named as one of {truth}: it holds {listed(list(predicted))}, the other "
-            f"{listed(list(true))}{_in_capitals(predicted, true)}: name each prediction after its garment"
-        )
-    cases = tuple(GarmentPair(name, path, predicted.get(name)) for name, path in sorted(true.items()))
-    return Folders(cases, tuple(sorted(predicted.keys() - true.keys())))
-
-
-def garment_files(folder: Path) -> dict[str, Path]:
-    """Name of a garment to its specification file.
+def true_files(folder: Path) -> dict[str, Path]:
+    """Name of a garment to the file of its true pattern.
 
     Files are ``NAME.json`` or ``NAME_specification.json`` in the folder. If it holds no JSON, they are
     ``NAME_specification.json`` at any depth, or ``NAME/specification.json``. Raises ``SpecError`` for a folder that is
@@ -82,22 +38,41 @@ def garment_files(folder: Path) -> dict[str, Path]:
         raise SpecError(f"{folder}: no specification files: it should hold NAME.json or NAME_specification.json")
     files: dict[str, Path] = {}
     for path in paths:
-        name = name_of(path)
+        name = garment_name(path)
         if name in files:
             raise SpecError(f"{path}: {files[name]} is named after the same garment: leave one of them")
         files[name] = path
     return files
 
 
-def name_of(path: Path) -> str:
-    """The garment that a file is named after.
+def garment_name(path: Path) -> str:
+    """The garment that a file is named after; models name some of their files by their folder.
 
-    >>> name_of(Path("out/dress_specification.json")), name_of(Path("out/dress/specification.json"))
-    ('dress', 'dress')
+    >>> garment_name(Path("dress_12/_predicted_specification.json")), garment_name(Path("out/dress_12.npz"))
+    ('dress_12', 'dress_12')
     """
-    if path.stem.lower() in PLAIN:
-        return path.parent.name
-    return next((path.stem.removesuffix(end) for end in ENDINGS if path.stem.endswith(end)), path.stem)
+    stem = path.stem.removesuffix("specification").rstrip("_").removesuffix("_design_params")
+    stem = PREDICTED.sub("", stem)
+    return path.resolve().parent.name if stem in NAMELESS else stem
+
+
+def remarks_of(answers: Iterable[str], garments: Iterable[str]) -> Iterator[str]:
+    """One line on the garments without an answer, and one on the answers without a garment.
+
+    Raises ``SpecError`` if no name occurs in both.
+    """
+    ours, true = set(answers), set(garments)
+    missing, unknown = sorted(true - ours), sorted(ours - true)
+    if len(missing) == len(true):
+        raise SpecError(
+            f"no answer is named as a garment: there are {listed(unknown)} and {listed(missing)}"
+            f"{_in_capitals(unknown, missing)}: name each answer after its garment"
+        )
+    if missing:
+        yield f"{len(missing)} of {len(true)} garments without an answer, all failures: {listed(missing)}"
+    if unknown:
+        named = f"{len(unknown)}: {listed(unknown)}{_in_capitals(unknown, missing)}"
+        yield f"answers without a true pattern, not scored: {named}: name each answer after its garment"
 
 
 def _in_capitals(names: Iterable[str], garments: Iterable[str]) -> str:
@@ -130,31 +105,14 @@ class Scored:
     """Parts that could not be measured, with the reason."""
 
 
-def score_cases(cases: Iterable[GarmentPair], *, workers: int = 1, spacing: float = SPACING) -> Iterator[Scored]:
-    """The scores of test garments, in order, computed by ``workers`` processes; see ``score_case``."""
-    return parallel_map(partial(score_case, spacing=spacing), cases, workers)
-
-
-def score_case(case: GarmentPair, *, spacing: float = SPACING) -> Scored:
-    """The scores of a test garment; a prediction that is missing or cannot be read gets the worst.
-
-    Raises ``SpecError`` or ``PatternError`` for a true pattern that cannot be read or has an open outline.
-    """
-    true = _read_true(case)
-    if case.predicted is None:
-        return score_garment(case.name, None, true, failure=NO_PREDICTION, spacing=spacing)
-    try:
-        predicted = read_pattern(case.predicted)
-        _require_size(predicted)
-    except GcdError as error:
-        return score_garment(
-            case.name, None, true, failure=str(error).removeprefix(f"{case.predicted}: "), spacing=spacing
-        )
-    return score_garment(case.name, predicted, true, spacing=spacing)
+def score_pair(pair: tuple[str, Pattern, Pattern | None, str]) -> Scored:
+    """``score_garment`` of a name, a true pattern, an answer and the reason of its failure, for ``parallel_map``."""
+    name, true, answer, failure = pair
+    return score_garment(name, answer, true, failure=failure or NO_ANSWER)
 
 
 def score_garment(
-    name: str, predicted: Pattern | None, true: Pattern, *, failure: str = NO_PREDICTION, spacing: float = SPACING
+    name: str, predicted: Pattern | None, true: Pattern, *, failure: str = NO_ANSWER, spacing: float = SPACING
 ) -> Scored:
     """The scores of a predicted pattern; ``None`` gets the worst, for the reason ``failure``."""
     if predicted is None:
@@ -208,21 +166,31 @@ def first_fault(pattern: Pattern) -> str:
     return next(faults, "a panel is smaller than 1 cm²")
 
 
-def _require_size(pattern: Pattern) -> None:
+def require_size(pattern: Pattern) -> None:
     """Raise ``PatternError`` for more panels or edges than a garment has: matching them takes minutes and gigabytes."""
     if len(pattern.panels) > MOST_PANELS or any(len(panel.edges) > MOST_EDGES for panel in pattern.panels):
         raise PatternError(next(str(fault) for fault in check_pattern(pattern) if fault.rule in SIZES))
 
 
-def _read_true(case: GarmentPair) -> Pattern:
+def read_true(path: Path) -> Pattern:
+    """A true pattern. Raises ``SpecError`` or ``PatternError`` if it cannot be read or has an open outline."""
     try:
-        true = read_pattern(case.true)
+        true = read_pattern(path)
         for panel in true.panels:
             PanelShape.of(panel)
     except SpecError as error:
-        raise SpecError(f"{error}; if {case.true.name} is no true pattern, move it elsewhere") from error
+        raise SpecError(f"{error}; if {path.name} is no true pattern, move it elsewhere") from error
     except PatternError as error:
-        raise PatternError(f"{case.true}: {error}") from error
+        raise PatternError(f"{path}: {error}") from error
     if not true.panels:
-        raise PatternError(f"{case.true}: a true pattern without panels: leave it out")
+        raise PatternError(f"{path}: a true pattern without panels: leave it out")
     return true
+
+
+def scores_of(predicted: Sequence[Pattern], true: Sequence[Pattern], *, workers: int = 0) -> list[PatternScore]:
+    """The score of each predicted pattern, computed by ``workers`` processes."""
+    return list(parallel_map(_score_two, zip(predicted, true, strict=True), workers))
+
+
+def _score_two(pair: tuple[Pattern, Pattern]) -> PatternScore:
+    return score_pattern(*pair)

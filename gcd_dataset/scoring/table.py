@@ -9,7 +9,7 @@ import numpy as np
 from gcd_dataset.metrics import bootstrap_means
 
 if TYPE_CHECKING:
-    from benchmarks.reconstruction.scoring.garments import Scored
+    from gcd_dataset.scoring.garments import Scored
 
 REPORT = "report.json"
 """File in the folder of ``train --out``: mean scores, options, hashes of the data."""
@@ -19,6 +19,7 @@ EVALUATION = "evaluation.json"
 """There: the evaluator's scores, with drapes."""
 UNITS = {
     "boxmesh_cd": "cm",
+    "openings_cm": "cm",
     "panel_l2": "cm",
     "panel_l2_pen": "cm",
     "redrape_cd_cm": "cm",
@@ -26,14 +27,15 @@ UNITS = {
     "transl_cm": "cm",
 }
 """Units of the scores that are not shares."""
-COLUMNS = ("valid", "iou", "panel_count_acc", "edge_count_acc", "stitch_f1", "stitch_nm_f1", "topology_exact")
-DRAPED = ("sim_ok", "redrape_cd_cm", "within_1cm")
+COLUMNS = ("valid", "iou", "panel_count_acc", "edge_count_acc", "stitch_f1", "stitch_nm_f1", "combinatorial")
+DRAPED = ("sim_ok", "redrape_cd_cm", "openings_cm", "strict_within_1cm", "strict_unaided")
 """Scores of drapes."""
 TIMES = ("ms",)
 """Scores that are times, which other programs on the device lengthen."""
 SHORT = {
     "panel_count_acc": "panels", "edge_count_acc": "edges", "stitch_f1": "stitch", "stitch_nm_f1": "n:m",
-    "topology_exact": "exact", "redrape_cd_cm": "drape cm", "within_1cm": "≤1 cm", "sim_ok": "sim ok",
+    "combinatorial": "comb.", "redrape_cd_cm": "drape cm", "openings_cm": "open cm", "sim_ok": "sim ok",
+    "strict_within_1cm": "≤1 cm", "strict_unaided": "unaided",
 }  # fmt: skip
 MOST_ROWS = 30  # garments of a printed table; more: those with a failure or a remark
 DIGITS = 6  # decimals of a printed figure: rounding errors print as 0
@@ -73,8 +75,8 @@ def summaries_by_kind(garments: Sequence["Scored"]) -> dict[str, list[Summary]]:
     return {kind: summaries(own) for kind, own in sorted(kinds.items(), key=lambda item: (-len(item[1]), item[0]))}
 
 
-def line_of(figure: Summary, prefix: str = "evaluate") -> str:
-    """``evaluate.iou 0.91 share [0.88, 0.93] median 0.95``."""
+def line_of(figure: Summary, prefix: str = "score") -> str:
+    """``score.iou 0.91 share [0.88, 0.93] median 0.95``."""
     mean, low, high, median = (
         f"{round(value, DIGITS):.4g}" for value in (figure.mean, figure.low, figure.high, figure.median)
     )
@@ -101,7 +103,6 @@ def tree_of(
     garments: Sequence["Scored"],
     figures: Sequence[Summary],
     by_kind: Mapping[str, Sequence[Summary]],
-    presets: Mapping[str, Mapping[str, float]],
     settings: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Figures, garments and settings as a JSON tree."""
@@ -116,7 +117,6 @@ def tree_of(
         "settings": dict(settings),
         "figures": entries(figures),
         "by_kind": {kind: entries(rows) for kind, rows in by_kind.items()},
-        "presets": {preset: dict(scores) for preset, scores in presets.items()},
         "garments": [
             {
                 "name": garment.name,

@@ -1,0 +1,145 @@
+"""The scoreboard: result files, each the scores of one model on a task's frozen test set, and the tables of them.
+
+A model card is a TOML file::
+
+    name = "panel_set"
+    garments = 24000           # trained on
+    minutes = 8.0              # of training, on all devices together
+    weights = 14500000
+    hardware = "one H200"
+    url = "https://…"          # optional
+    note = "…"                 # optional
+    baseline = false           # true: a method of others below its published size or budget; not ranked
+"""
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gcd_dataset.errors import ConfigError, SpecError
+from gcd_dataset.jsonfile import read_json, read_toml
+from gcd_dataset.scoring.folders import Scores
+
+SCHEMA = 1
+CARD: Mapping[str, type] = {"name": str, "garments": int, "minutes": float, "weights": int, "hardware": str}
+MORE: Mapping[str, type] = {"url": str, "note": str, "baseline": bool}
+WORDS: Mapping[type, str] = {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}
+HEADLINES = {"T3": "garment_perfect"}
+"""The score that ranks a task's answers; of the other tasks ``STRICT``, or ``COMBINATORIAL`` without drapes."""
+STRICT, COMBINATORIAL = "strict_within_1cm", "combinatorial"
+COLUMNS = (
+    "strict_within_1cm", "strict_unaided", "edges_within_1cm", "combinatorial", "garment_perfect", "iou",
+    "stitch_f1", "stitch_nm_f1", "redrape_cd_cm",
+)  # fmt: skip
+
+
+def result_of(scores: Scores, card: Path) -> dict[str, Any]:
+    """The result file of a model's scores on a task, with its card.
+
+    Raises ``SpecError`` for scores of other garments than a task's, ``ConfigError`` for a card with a missing, unknown
+    or impossible entry.
+    """
+    if "task" not in scores.settings:
+        raise SpecError("scores of other garments than a task's: give the folder that gcd bench inputs wrote")
+    return {"schema": SCHEMA, "model": read_card(card), **scores.tree()}
+
+
+def read_card(path: Path) -> dict[str, Any]:
+    """A model card. Raises ``ConfigError``."""
+    card = dict(read_toml(path))
+    if missing := [key for key in CARD if key not in card]:
+        raise ConfigError(f"{path}: no {', '.join(missing)}: a model card has {', '.join(CARD)}")
+    for key, value in card.items():
+        kind = CARD.get(key, MORE.get(key))
+        if kind is None:
+            raise ConfigError(f"{path}: {key} is unknown: a model card has {', '.join((*CARD, *MORE))}")
+        right = isinstance(value, kind) or (kind is float and isinstance(value, int))
+        if not right or isinstance(value, bool) != (kind is bool):
+            raise ConfigError(f"{path}: {key} is {value!r}: give {WORDS[kind]}")
+        if kind in (int, float) and not 0 <= value < math.inf:
+            raise ConfigError(f"{path}: {key} is {value}: give a number of 0 or more")
+    return card
+
+
+def tables(paths: Sequence[Path]) -> str:
+    """Markdown tables of result files, one for each task, size of the test set and kind of device.
+
+    Models of one table are ranked among those with equal garments, minutes and hardware; baselines stand below. Raises
+    ``SpecError`` for a file that is no result, and for results on different test sets in one table.
+    """
+    groups = defaultdict[tuple[str, bool, str], list[tuple[Path, dict[str, Any]]]](list)
+    for path in paths:
+        result = _read_result(path)
+        settings = result["settings"]
+        groups[settings["task"], settings["mini"], settings["device"]].append((path, result))
+    return "\n".join(line for key, results in sorted(groups.items()) for line in _table(*key, results))
+
+
+def _read_result(path: Path) -> dict[str, Any]:
+    found = read_json(path, "result file")
+    parts = {"model", "settings", "figures"}
+    if not isinstance(found, dict) or found.get("schema") != SCHEMA or not parts <= found.keys():
+        raise SpecError(f"{path}: no result file of schema {SCHEMA}: make it with gcd bench submit")
+    if not {"task", "mini", "device", "hashes"} <= found["settings"].keys():
+        raise SpecError(f"{path}: its settings name no task: make it with gcd bench submit")
+    return found
+
+
+def _table(task: str, mini: bool, device: str, results: Sequence[tuple[Path, dict[str, Any]]]) -> Iterable[str]:
+    first = results[0]
+    for path, result in results:
+        if result["settings"]["hashes"]["truth"] != first[1]["settings"]["hashes"]["truth"]:
+            raise SpecError(f"{path}: other true patterns than {first[0]}: make both again with this version")
+    columns = [name for name in COLUMNS if any(name in result["figures"] for _, result in results)]
+    headline = HEADLINES.get(task, STRICT if STRICT in columns else COMBINATORIAL)
+
+    def order(result: Mapping[str, Any]) -> tuple[bool, float]:
+        return bool(result["model"].get("baseline")), -result["figures"].get(headline, {"mean": -1.0})["mean"]
+
+    count = len(first[1]["garments"])
+    yield f"## {task}: {count} garments{' (mini)' if mini else ''}{f', draped on a {device}' if device else ''}"
+    yield ""
+    yield f"| rank | model | {' | '.join(columns)} | garments | minutes | weights | hardware |"
+    yield f"|{'---|' * (len(columns) + 6)}"
+    ranks = defaultdict[tuple[Any, ...], int](int)
+    for result in sorted((result for _, result in results), key=order):
+        model = result["model"]
+        budget = (model["garments"], model["minutes"], model["hardware"])
+        ranks[budget] += not model.get("baseline")
+        rank = "–" if model.get("baseline") else f"{ranks[budget]}"
+        cells = [_cell(result["figures"].get(name)) for name in columns]
+        facts = [f"{model['garments']:,}", f"{model['minutes']:g}", f"{model['weights']:,}", _plain(model["hardware"])]
+        yield f"| {' | '.join([rank, _named(model), *cells, *facts])} |"
+    yield ""
+    yield f"Ranked by `{headline}` among models with equal garments, minutes and hardware; in brackets: 95 % intervals."
+    yield ""
+
+
+def _cell(figure: Mapping[str, float] | None) -> str:
+    return "" if figure is None else f"{figure['mean']:.3f} [{figure['low']:.3f}, {figure['high']:.3f}]"
+
+
+def _named(model: Mapping[str, Any]) -> str:
+    name = _plain(model["name"])
+    return f"[{name}]({_plain(model['url'])})" if model.get("url") else name
+
+
+def _plain(text: str) -> str:
+    """Text of a stranger in a cell of a Markdown table."""
+    return "".join(char for char in text if char.isprintable() and char not in "|[]()<>`\\")
+
+
+def result_text(result: Mapping[str, Any]) -> str:
+    """A result as JSON, with null for numbers that JSON lacks."""
+
+    def finite(tree: Any) -> Any:
+        if isinstance(tree, Mapping):
+            return {key: finite(value) for key, value in tree.items()}
+        if isinstance(tree, list):
+            return [finite(value) for value in tree]
+        return (round(tree, 6) if math.isfinite(tree) else None) if isinstance(tree, float) else tree
+
+    return json.dumps(finite(result), indent=1, allow_nan=False) + "\n"

@@ -1,0 +1,75 @@
+"""The scoreboard: model cards, result files and their tables."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gcd_dataset.cli import main
+from gcd_dataset.scoring.board import read_card, tables
+
+CARD = 'name = "net"\ngarments = 4000\nminutes = 8\nweights = 1000000\nhardware = "one GPU"\n'
+
+
+def result(path: Path, name: str, right: float, *, truth: str = "t", **model: Any) -> Path:
+    card = {"name": name, "garments": 4000, "minutes": 8.0, "weights": 10**6, "hardware": "one GPU", **model}
+    figures = {score: {"mean": right, "low": right - 0.1, "high": right + 0.1} for score in ("combinatorial", "iou")}
+    settings = {"task": "T1", "mini": True, "device": "CPU", "hashes": {"truth": truth}}
+    tree = {"schema": 1, "model": card, "settings": settings, "figures": figures, "garments": [{"name": "a"}]}
+    path.write_text(json.dumps(tree))
+    return path
+
+
+def test_only_equal_budgets_are_ranked(tmp_path: Path) -> None:
+    """A longer training heads no other's rank, and a baseline of less than its budget has none."""
+    files = [
+        result(tmp_path / "a.json", "good", 0.6),
+        result(tmp_path / "b.json", "better", 0.7),
+        result(tmp_path / "c.json", "longer", 0.9, minutes=80.0),
+        result(tmp_path / "d.json", "small | [copy](x)", 0.95, baseline=True),
+    ]
+    rows = [line.split(" | ") for line in tables(files).splitlines() if "one GPU" in line]
+    assert [(row[0].strip("| "), row[1]) for row in rows] == [
+        ("1", "longer"), ("1", "better"), ("2", "good"), ("–", "small  copyx"),
+    ]  # fmt: skip
+    assert rows[1][2] == "0.700 [0.600, 0.800]"
+
+
+def test_results_on_other_patterns_share_no_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [result(tmp_path / "a.json", "one", 0.6), result(tmp_path / "b.json", "other", 0.7, truth="u")]
+    assert main(["bench", "board", *map(str, files)]) == 1
+    [line] = capsys.readouterr().err.splitlines()
+    assert "b.json: other true patterns than" in line
+    (tmp_path / "c.json").write_text("{}")
+    assert main(["bench", "board", str(tmp_path / "c.json")]) == 1
+    assert "c.json: no result file of schema 1: make it with gcd bench submit" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("card", "fault"),
+    [
+        (CARD.replace("minutes = 8\n", ""), "no minutes: a model card has name"),
+        (CARD + "speed = 3\n", "speed is unknown"),
+        (CARD.replace("4000", "4000.5"), "garments is 4000.5: give a whole number"),
+        (CARD.replace("4000", "true"), "garments is True: give a whole number"),
+        (CARD.replace("= 8", "= -8"), "minutes is -8: give a number of 0 or more"),
+        (CARD + "baseline = 1\n", "baseline is 1: give true or false"),
+    ],
+)
+def test_cards_that_cannot_be_used(card: str, fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "model.toml"
+    path.write_text(card)
+    command = ["bench", "submit", str(tmp_path), str(tmp_path), "--card", str(path), "--out", str(tmp_path / "r.json")]
+    assert main(command) == 2
+    assert f"model.toml: {fault}" in capsys.readouterr().err
+    path.write_text(CARD)
+    assert read_card(path)["minutes"] == 8
+
+
+def test_a_task_that_is_unknown_or_unfinished(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "inputs", "T9", str(tmp_path / "t")]) == 2
+    assert "no task T9: give one of T1, T1-scan, T2, T3" in capsys.readouterr().err
+    (tmp_path / "task.json").write_text('{"task": "T3", "finished": false}')
+    assert main(["score", str(tmp_path), str(tmp_path)]) == 1
+    assert "unfinished: the same gcd bench inputs command continues it" in capsys.readouterr().err
