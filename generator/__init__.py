@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.ease import ease_of
     from gcd_dataset.generator.garments import GarmentDesign, read_design, sample_design
     from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
+    from gcd_dataset.generator.jacobian import DrapeJacobian, Fitting, drape_jacobian, real_parameters
     from gcd_dataset.generator.maker import make, produce
     from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
     from gcd_dataset.generator.pipeline import build_pattern, fit, grade
@@ -22,8 +23,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DrapeConfig",
+    "DrapeJacobian",
     "DrapeJob",
     "Fabric",
+    "Fitting",
     "GarmentDesign",
     "MakeConfig",
     "Overlay",
@@ -34,6 +37,7 @@ __all__ = [
     "coarse_start",
     "drape_all",
     "drape_batch",
+    "drape_jacobian",
     "draw_shape",
     "ease_of",
     "fabric_named",
@@ -49,6 +53,7 @@ __all__ = [
     "read_chart",
     "read_design",
     "read_overlay",
+    "real_parameters",
     "sample_design",
 ]
 

@@ -1,0 +1,280 @@
+"""Derivatives of a drape by design parameters, from one batch of drapes of designs that differ a little.
+
+Cloth that folds has no useful exact derivative: a fold that flips moves it by centimetres. So all parameters are
+changed at once by a step up or down, at random, in pairs of opposite signs, and positions are fitted by least squares:
+each drape tells of each parameter, and single folds average out. Material points are the same in all drapes,
+though patterns and meshes differ: a point of a panel is carried to the other outline by mean value coordinates
+(Hormann and Floater, ACM TOG 25(4), 2006).
+"""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+from trimesh.triangles import closest_point, points_to_barycentric
+
+from gcd_dataset.curves import sample_curve
+from gcd_dataset.errors import ConfigError, DrapeError, GcdError, did_you_mean
+from gcd_dataset.generator.drape import DrapeJob, Fabric, drape_batch
+from gcd_dataset.generator.drape.config import USUAL_FABRIC
+from gcd_dataset.generator.dressing.sewing_start import sewing_start
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, design_to_dict
+from gcd_dataset.generator.garments.parameter import Real
+from gcd_dataset.generator.garments.rules import DrawnGarment
+from gcd_dataset.generator.garments.space import leaves
+from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
+from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Outcome, Panel, Pattern
+from gcd_dataset.workers import parallel_map
+
+STEP = 0.05  # of a parameter's range
+EACH = 12  # points of an edge to which material points are related
+NEAR = 6  # triangles among which the one at a material point is looked for
+PAIRS_EACH = 2  # pairs of drapes for each parameter
+FEWEST_PAIRS = 12
+ON_OUTLINE = 1e-3  # cm
+RIDGE = 1e-3  # of a variance: keeps parameters apart that changed alike
+
+
+@dataclass(frozen=True, eq=False)
+class Worn:
+    """A design drawn for a wearer, dressed and meshed."""
+
+    pattern: Pattern
+    job: DrapeJob
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """Draws designs for one wearer; ``body`` has its legs apart for garments with legs."""
+
+    body: Body
+    size: Measurements
+    resolution: float = 2.0
+    """Edges of the meshes [cm]."""
+    fabric: Fabric = USUAL_FABRIC
+
+    def worn(self, design: GarmentDesign) -> Worn | None:
+        """The design on the wearer; ``None`` if it cannot be drawn, placed or meshed."""
+        try:
+            pattern = DrawnGarment.of(self.size, design).pattern
+            mesh = build_box_mesh(pattern, spacing=self.resolution)
+            coarse = coarse_start(mesh)
+            start = sewing_start(coarse.mesh if coarse else mesh, self.body)
+        except GcdError:
+            return None
+        return Worn(pattern, DrapeJob(mesh, self.body, self.size, self.fabric, coarse, start))
+
+
+@dataclass(frozen=True, eq=False)
+class DrapeJacobian:
+    """A drape, and how its vertices move with the parameters of its design; vertices are those of ``worn.job``."""
+
+    parameters: tuple[str, ...]
+    """Paths in design files, such as ``pants.length``."""
+    spans: Float[np.ndarray, " d"]
+    """Length of each parameter's range, in its unit."""
+    worn: Worn
+    drape: Drape
+    positions: Float[np.ndarray, "v 3"]
+    """Of the fitted linear map at the design [cm]: the mean of many drapes, smoother than ``drape``."""
+    derivatives: Float[np.ndarray, "d v 3"]
+    """Movement [cm] for a change by a parameter's whole range; divide by ``spans`` for centimetres per unit."""
+    drapes: int
+    """Drapes that were fitted."""
+
+
+def real_parameters(design: GarmentDesign, size: Measurements) -> tuple[str, ...]:
+    """The real parameters that change the pattern of a design for a wearer, by their paths.
+
+    Raises ``PatternError`` for a design that cannot be drawn.
+    """
+    drawn = DrawnGarment.of(size, design).pattern
+    tree, used, found = design_to_dict(design), design.sections_used() | {"left"}, []
+    for path, space in _reals().items():
+        if value_at(tree, path) is None or path.split(".")[0].replace("-", "_") not in used:
+            continue
+        inward = 0.02 if value_at(tree, path) < 0.5 * sum(space.range) else -0.02
+        with suppress(GcdError):
+            if not _is_same(drawn, DrawnGarment.of(size, moved(design, {path: inward})).pattern):
+                found.append(path)
+    return tuple(found)
+
+
+def moved(design: GarmentDesign, by: Mapping[str, float]) -> GarmentDesign:
+    """The design with real parameters moved by shares of their ranges, and kept in these."""
+    tree, reals = design_to_dict(design), _reals()
+    for path, share in by.items():
+        *parents, name = path.split(".")
+        node = tree
+        for key in parents:
+            node = node[key]
+        low, high = reals[path].range
+        node[name] = float(np.clip(node[name] + share * (high - low), low, high))
+    return design_from_dict(tree)
+
+
+def drape_jacobian(
+    design: GarmentDesign,
+    fitting: Fitting,
+    parameters: Sequence[str] | None = None,
+    *,
+    step: float = STEP,
+    pairs: int | None = None,
+    seed: int = 0,
+    device: str = "auto",
+    workers: int = 1,
+) -> DrapeJacobian:
+    """Derivatives of the drape by ``parameters``, by default ``real_parameters``.
+
+    ``step``: change of each parameter, as a share of its range. ``pairs``: of drapes (default: two for each parameter,
+    at least twelve). ``workers``: processes that draw, dress and mesh. Raises ``ConfigError`` for an unknown parameter,
+    ``DrapeError`` if the design or too many of its neighbours cannot be draped.
+    """
+    names = tuple(parameters) if parameters is not None else real_parameters(design, fitting.size)
+    known = _reals()
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"no real parameter {name}{did_you_mean(name, known)}")
+    low, high = np.array([known[name].range for name in names], float).reshape(-1, 2).T
+    spans = high - low
+    tree = design_to_dict(design)
+    centre = (np.array([value_at(tree, name) for name in names], float) - low) / spans
+    count = pairs or max(PAIRS_EACH * len(names), FEWEST_PAIRS)
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (count, len(names)))
+    places = np.clip(np.concatenate([centre[None], centre + step * signs, centre - step * signs]), 0.0, 1.0)
+    designs = [moved(design, dict(zip(names, by.tolist(), strict=True))) for by in places[1:] - centre]
+    worn = list(parallel_map(fitting.worn, [design, *designs], workers))
+    if worn[0] is None:
+        raise DrapeError("the design cannot be drawn, placed or meshed for this wearer: change one of them")
+    alike = [row for row, each in enumerate(worn) if each is not None and _alike(each.pattern, worn[0].pattern)]
+    jobs = [replace(worn[row].job, body=fitting.body, measurements=fitting.size) for row in alike]  # type: ignore[union-attr]
+    drapes = drape_batch(jobs, device=device)
+    settled = [k for k, drape in enumerate(drapes) if drape.outcome is Outcome.SETTLED]
+    if len(settled) <= len(names):
+        raise DrapeError(
+            f"{len(settled)} of {len(places)} designs near this one settle, too few for {len(names)} parameters: take "
+            "a smaller step, or more pairs"
+        )
+    carrier = Carrier.of(worn[0])
+    carried = np.array([carrier.positions(worn[alike[k]], drapes[k]) for k in settled])  # type: ignore[arg-type]
+    at = places[[alike[k] for k in settled]]
+    offsets, mean = at - at.mean(axis=0), carried.mean(axis=0)
+    normal = offsets.T @ offsets + RIDGE * len(settled) * step**2 * np.eye(len(names))
+    derivatives = np.linalg.solve(normal, offsets.T @ (carried - mean).reshape(len(settled), -1)).reshape(
+        len(names), *mean.shape
+    )
+    positions = mean + np.tensordot(centre - at.mean(axis=0), derivatives, 1)
+    return DrapeJacobian(names, spans, worn[0], drapes[0], positions, derivatives, len(settled))
+
+
+# ------------------------------------------------------------------------------------------------------ material points
+
+
+@dataclass(frozen=True, eq=False)
+class Carrier:
+    """The material points of a mesh's vertices, related to the outlines of its panels."""
+
+    worn: Worn
+    rows: tuple[np.ndarray, ...]
+    """Rows of ``uv`` of each panel."""
+    weights: tuple[Float[np.ndarray, "n k"], ...]
+    """Mean value coordinates of these points by the points of the panel's outline."""
+
+    @staticmethod
+    def of(worn: Worn) -> "Carrier":
+        """The carrier of the vertices of a mesh."""
+        mesh = worn.job.box_mesh
+        rows = tuple(np.flatnonzero(mesh.panel_of_row == number) for number in range(len(worn.pattern.panels)))
+        outlines = map(outline, worn.pattern.panels)
+        return Carrier(
+            worn, rows, tuple(mean_value_coordinates(mesh.uv[r], o) for r, o in zip(rows, outlines, strict=True))
+        )
+
+    def positions(self, other: Worn, drape: Drape) -> Float[np.ndarray, "v 3"]:
+        """Where these material points lie in the drape of another design with the same panels [cm]."""
+        mesh, base = other.job.box_mesh, self.worn.job.box_mesh
+        found = np.zeros((len(base.uv), 3))
+        for number, (rows, weights) in enumerate(zip(self.rows, self.weights, strict=True)):
+            places = weights @ outline(other.pattern.panels[number])
+            faces = np.flatnonzero(mesh.panel_id == number)
+            found[rows] = _interpolated(mesh, faces, places, drape.vertices)
+        sums, counts = np.zeros((len(base.vertices), 3)), np.zeros(len(base.vertices))
+        np.add.at(sums, base.uv_vertex, found)
+        np.add.at(counts, base.uv_vertex, 1.0)
+        return sums / np.maximum(counts, 1.0)[:, None]
+
+
+def outline(panel: Panel) -> Float[np.ndarray, "k 2"]:
+    """Points of a panel's outline, ``EACH`` of each edge [cm]."""
+    edges = enumerate(panel.edges)
+    return np.concatenate([sample_curve(*panel.edge_ends(k), edge.curve, EACH + 1)[:-1] for k, edge in edges])
+
+
+def mean_value_coordinates(
+    points: Float[np.ndarray, "n 2"], loop: Float[np.ndarray, "k 2"]
+) -> Float[np.ndarray, "n k"]:
+    """Weights of the corners of a polygon that give back the points; each row sums to 1."""
+    spokes = loop[None] - points[:, None]
+    after = np.roll(spokes, -1, axis=1)
+    radius = np.linalg.norm(spokes, axis=2)
+    cross = spokes[..., 0] * after[..., 1] - spokes[..., 1] * after[..., 0]
+    product = radius * np.roll(radius, -1, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        half = (product - np.einsum("nki,nki->nk", spokes, after)) / cross  # tangent of half the angle of two spokes
+        half = np.where(np.abs(cross) < 1e-12 * product, 0.0, half)  # spokes of one direction
+        weights = (half + np.roll(half, 1, axis=1)) / radius
+    step = np.roll(loop, -1, axis=0) - loop
+    share = np.clip(-np.einsum("nki,ki->nk", spokes, step) / np.einsum("ki,ki->k", step, step), 0.0, 1.0)
+    apart = np.linalg.norm(spokes + share[..., None] * step, axis=2)
+    row, side = np.arange(len(points)), apart.argmin(axis=1)
+    border = apart[row, side] < ON_OUTLINE
+    weights[border] = 0.0
+    weights[row[border], side[border]] = 1.0 - share[row, side][border]
+    weights[row[border], (side[border] + 1) % len(loop)] = share[row, side][border]
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def _interpolated(
+    mesh: BoxMesh, faces: np.ndarray, places: Float[np.ndarray, "n 2"], vertices: Float[np.ndarray, "v 3"]
+) -> Float[np.ndarray, "n 3"]:
+    flat = np.zeros((len(faces), 3, 3))
+    flat[..., :2] = mesh.uv[mesh.corners[faces]]
+    _, near = cKDTree(flat[..., :2].mean(axis=1)).query(places, k=min(NEAR, len(faces)))
+    near = near.reshape(len(places), -1)
+    points = np.column_stack([places, np.zeros(len(places))])
+    closest = closest_point(flat[near.ravel()], np.repeat(points, near.shape[1], axis=0)).reshape(*near.shape, 3)
+    best = np.linalg.norm(closest - points[:, None], axis=2).argmin(axis=1)
+    row = np.arange(len(places))
+    face = near[row, best]
+    shares = points_to_barycentric(flat[face], closest[row, best])
+    return np.einsum("nc,nci->ni", shares, vertices[mesh.faces[faces[face]]])
+
+
+def _alike(one: Pattern, other: Pattern) -> bool:
+    shape = [[(panel.name, len(panel.edges)) for panel in pattern.panels] for pattern in (one, other)]
+    return shape[0] == shape[1]
+
+
+def _is_same(one: Pattern, other: Pattern) -> bool:
+    return _alike(one, other) and all(
+        np.array_equal(outline(a), outline(b)) for a, b in zip(one.panels, other.panels, strict=True)
+    )
+
+
+def _reals() -> dict[str, Real]:
+    found = ((leaf.path, leaf.space) for leaf in leaves(GarmentDesign, added=True))
+    return {path: space for path, space in found if isinstance(space, Real) and space.kind == "float"}
+
+
+def value_at(tree: Mapping[str, Any], path: str) -> Any:
+    """The value at a path of a design's tree; ``None`` where it has none."""
+    node: Any = tree
+    for key in path.split("."):
+        if not isinstance(node, Mapping) or key not in node:
+            return None
+        node = node[key]
+    return node
