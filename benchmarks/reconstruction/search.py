@@ -113,10 +113,8 @@ def refine(
         except DrapeError:
             break
         change = dict(zip(jacobian.parameters, _on_scan(jacobian, scan, step).tolist(), strict=True))
-        tried = [
-            moved(best.design, dict(zip(jacobian.parameters, by.tolist(), strict=True)))
-            for by in (change, 0.5 * change)
-        ]
+        ways = ({name: share * by for name, by in change.items()} for share in (1.0, 0.5))
+        tried = [moved(best.design, by) for by in ways]
         best = min([best, *nearest(tried, fitting, scan, device=device)], key=lambda each: each.distance)
     return best
 
