@@ -112,7 +112,7 @@ def refine(
             )
         except DrapeError:
             break
-        change = dict(zip(jacobian.parameters, _on_scan(jacobian, scan, step).tolist(), strict=True))
+        change = dict(zip(jacobian.parameters, on_scan(jacobian, scan, step).tolist(), strict=True))
         ways = ({name: share * by for name, by in change.items()} for share in (1.0, 0.5))
         tried = [moved(best.design, by) for by in ways]
         best = min([best, *nearest(tried, fitting, scan, device=device)], key=lambda each: each.distance)
@@ -129,7 +129,7 @@ def distance_to(scan: ScanPoints, vertices: Float[np.ndarray, "v 3"], worn: Worn
     return float(np.mean(ways))
 
 
-def _on_scan(jacobian: DrapeJacobian, scan: ScanPoints, step: float) -> Float[np.ndarray, " d"]:
+def on_scan(jacobian: DrapeJacobian, scan: ScanPoints, step: float) -> Float[np.ndarray, " d"]:
     """The change of the parameters, in shares of their ranges, that brings the linear map onto the scan."""
     faces, derivatives = jacobian.worn.job.box_mesh.faces, jacobian.derivatives
     some = scan.points[:SAMPLES]

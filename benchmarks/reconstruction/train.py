@@ -31,6 +31,7 @@ from typing import Any
 
 import torch
 import torch.distributed as dist
+from gcd_dataset.scoring.evaluate import evaluate, evaluator
 
 from benchmarks.reconstruction.garments import GarmentSet, Split, fresh_garments
 from benchmarks.reconstruction.judging import Judge, intervals, judge_of, means_of
@@ -55,7 +56,6 @@ from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import drafted, make_folder, write_whole
 from gcd_dataset.generator.device import cores
 from gcd_dataset.generator.drawing import png_bytes
-from gcd_dataset.scoring.evaluate import evaluate, evaluator
 from gcd_dataset.scoring.table import DRAPED, EVALUATION, REPORT, SCORES
 
 MINUTES, TRAINED = 8.0, 4000

@@ -1,0 +1,42 @@
+"""Search by draping: steps of parameters on a linear map of the drape."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.reconstruction.search import ScanPoints, on_scan
+
+SIDE = 41  # vertices along each side of a sheet of 80 cm
+
+
+def sheet(drop: float, wider: float) -> np.ndarray:
+    """Vertices of a sheet that is bent along x, dropped and widened [cm]."""
+    x, y = np.meshgrid(np.linspace(0, 80 + wider, SIDE), np.linspace(0, 80, SIDE), indexing="ij")
+    return np.stack([x, y, 10 * np.sin(x / 20) - drop], axis=-1).reshape(-1, 3)
+
+
+def faces() -> np.ndarray:
+    corner = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
+    a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
+    return np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+
+
+@pytest.mark.parametrize(("partial", "known"), [(False, 2), (True, 1)])
+def test_parameters_are_found_on_a_linear_map(partial: bool, known: int) -> None:
+    """Drop and width of a sheet; a scan of a part does not show where the sheet ends."""
+    base = sheet(0.0, 0.0)
+    derivatives = np.stack([sheet(20.0, 0.0) - base, sheet(0.0, 1.0) - base]) * [[[1.0]], [[30.0]]]
+    worn = SimpleNamespace(job=SimpleNamespace(box_mesh=SimpleNamespace(faces=faces())))
+    jacobian: Any = SimpleNamespace(worn=worn, positions=base, derivatives=derivatives)
+    points = sheet(2.0, 3.0)
+    slope = np.stack([-0.5 * np.cos(points[:, 0] / 20), np.zeros(len(points)), np.ones(len(points))], axis=1)
+    normals = slope / np.linalg.norm(slope, axis=1, keepdims=True)
+    rows = np.random.default_rng(0).permutation(len(points))
+    if partial:
+        rows = rows[points[rows, 0] < 40]
+    scan = ScanPoints.of(np.concatenate([points, normals], axis=1)[rows], partial=partial)
+    assert on_scan(jacobian, scan, step=0.1)[:known] == pytest.approx(
+        [0.1, 0.1][:known], abs=0.025
+    )  # the prior holds back
