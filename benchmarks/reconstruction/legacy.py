@@ -414,7 +414,7 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the scores of presets for two folders, as of ``gcd score``. Returns the exit code; exits 2 for wrong usage."""
+    """Print the scores of presets. Returns the exit code; exits 2 for wrong usage."""
     parser = argparse.ArgumentParser(prog="benchmarks.reconstruction.legacy", description=main.__doc__)
     parser.add_argument("answers", type=Path, metavar="ANSWERS")
     parser.add_argument("truth", type=Path, metavar="TRUTH")

@@ -50,7 +50,7 @@ SMALLER = {
     "guides/own-body": {"--resolution 3": "--resolution 9", "spacing=3.0": "spacing=9.0"},
     "guides/own-fabric": {"--resolution 3": "--resolution 9", "resolution=3.0": "resolution=9.0"},
     "guides/own-garment": {"--resolution 2.5": "--resolution 9"},
-    "concepts/drape": {"resolution=3.0": "resolution=9.0"},
+    "concepts/drape": {"resolution=3.0": "resolution=9.0", "pairs=16": "pairs=12"},
     "concepts/index": {"spacing=3.0": "spacing=9.0"},
     "concepts/sample": {"GeneratedGarments(4, seed=3, resolution=3.0": "GeneratedGarments(2, seed=3, resolution=9.0"},
 }
