@@ -419,11 +419,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("answers", type=Path, metavar="ANSWERS")
     parser.add_argument("truth", type=Path, metavar="TRUTH")
     parser.add_argument("--preset", action="append", choices=PRESETS, required=True, metavar="NAME")
-    parser.add_argument("--form", default="", metavar="NAME")
     options = parser.parse_args(arguments)
     try:
         true = {name: read_true(path) for name, path in sorted(true_files(options.truth).items())}
-        answers = {name: answer.pattern for name, answer in AnswerReader(options.form).read(options.answers).items()}
+        answers = {name: answer.pattern for name, answer in AnswerReader(repair=True).read(options.answers).items()}
         for preset in options.preset:
             scores = legacy_scores(preset, [answers.get(name) for name in true], list(true.values()))
             print(*(f"{preset}.{name} {value:.4g} as published" for name, value in scores.items()), sep="\n")

@@ -50,9 +50,7 @@ def _add_scoring(parser: Parser) -> None:
     parser.add_argument(
         "truth", type=Path, metavar="TRUTH|TASK", help="folder of true specification files, or of gcd bench inputs"
     )
-    parser.add_argument("--form", default="", metavar="NAME", help="the model that wrote the files, such as sewformer")
-    parser.add_argument("--raw", action="store_true", help="arrays and tokens hold cm, not the network's units")
-    parser.add_argument("--panels", type=Path, metavar="JSON", help="list of the names of the panels of arrays")
+    parser.add_argument("--repair", action="store_true", help="mend and name the faults of networks in specifications")
     parser.add_argument("--bodies", metavar="DIR|NAME", help="bodies named after the garments, or one for all")
     parser.add_argument("--drape", action="store_true", help="also drape the answers on the bodies of their garments")
     parser.add_argument("--inputs", type=Path, metavar="DIR", help="meshes or points [cm] that the model was given")
@@ -115,9 +113,7 @@ def _scores(options: argparse.Namespace) -> "Scores":
     scores = score(
         options.answers,
         options.truth,
-        form=options.form,
-        raw=options.raw,
-        panels=() if options.panels is None else _names(options.panels),
+        repair=options.repair,
         bodies=options.bodies,
         drapes=drapes if options.drape else None,
         workers=options.workers,
@@ -142,13 +138,3 @@ def _require_file(path: Path | None) -> None:
         raise OutputError(f"{path}: no such folder: create {path.absolute().parent}")
     if path.is_dir():
         raise OutputError(f"{path}: a folder: give a file")
-
-
-def _names(path: Path) -> tuple[str, ...]:
-    """The names in a JSON list. Raises ``ConfigError``."""
-    from gcd_dataset.jsonfile import read_json
-
-    names = read_json(path, "JSON list of panel names", error=ConfigError)
-    if not (isinstance(names, list) and all(isinstance(name, str) for name in names) and len(set(names)) == len(names)):
-        raise ConfigError(f"{path}: no list of names, each once: give one name for each panel of the arrays")
-    return tuple(names)

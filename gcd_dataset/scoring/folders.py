@@ -74,9 +74,7 @@ def score(
     answers: Path,
     truth: Path,
     *,
-    form: str = "",
-    raw: bool = False,
-    panels: tuple[str, ...] = (),
+    repair: bool = False,
     bodies: str | None = None,
     drapes: Drapes | None = None,
     workers: int = 1,
@@ -85,7 +83,7 @@ def score(
     """The scores of a folder of answers. Every true pattern counts: a missing answer gets the worst of every score.
 
     ``truth``: a folder of true specification files, or a folder of ``write_inputs``, which has bodies and inputs of its
-    own. ``form``, ``raw``, ``panels``: see ``AnswerReader``. ``bodies``: see ``wearers_of``. ``drapes``: also drape the
+    own. ``repair``: see ``AnswerReader``. ``bodies``: see ``wearers_of``. ``drapes``: also drape the
     answers. Raises ``GcdError`` for folders, true patterns, bodies and inputs that are missing or cannot be read.
     """
     task = read_task(truth) if is_task_folder(truth) else None
@@ -95,9 +93,7 @@ def score(
         drapes = drapes and _of_task(drapes, task)
     files = true_files(truth)
     wearers = wearers_of(bodies or NEUTRAL)
-    reader = AnswerReader(
-        form, raw, panels, (lambda name: wearers.wearer(name, legs_apart=False)[1]) if bodies else None
-    )
+    reader = AnswerReader(repair, (lambda name: wearers.wearer(name, legs_apart=False)[1]) if bodies else None)
     found = reader.read(answers)
     remarks = [*(f"{answers}: {line}" for line in remarks_of(found, files))]
     remarks += [f"{answer.path}: {line}" for answer in found.values() for line in answer.remarks]

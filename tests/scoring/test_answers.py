@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from benchmarks.reconstruction.encoding_losses import AGAIN, losses_of
-from benchmarks.reconstruction.legacy import legacy_scores
-from gcd_dataset.encodings import aipparel, garmentdiffusion, neuraltailor, sewformer, sewingldm
+from gcd_dataset.encodings import aipparel
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.metrics import score_pattern
@@ -34,16 +32,8 @@ def garment(name: str = "belt", width: float = 30.0) -> Pattern:
     return Pattern(name, (front, back), SEAMS)
 
 
-def read(form: str, path: Path, **options: Any) -> dict[str, Answer]:
-    return dict(AnswerReader(form, **options).read_file(path))
-
-
-def standardised(pattern: Pattern) -> dict[str, np.ndarray]:
-    """NeuralTailor's output for a pattern, in the network's units."""
-    arrays = neuraltailor.encode(pattern)
-    scaled = {name: neuraltailor.SCALINGS[name].apply(getattr(arrays, name)) for name in ("outlines", "rotations")}
-    scaled["translations"] = neuraltailor.SCALINGS["translations"].apply(arrays.translations)
-    return {**scaled, "stitch_tags": arrays.stitch_tags, "free_edges_mask": arrays.free_edges}
+def read(path: Path) -> Answer:
+    return AnswerReader().read_file(path)
 
 
 def save(path: Path, arrays: dict[str, np.ndarray], **others: np.ndarray) -> None:
@@ -84,7 +74,7 @@ def test_an_old_specification_is_read(tmp_path: Path) -> None:
     (tmp_path / "skirt").mkdir()
     source = tmp_path / "skirt" / "specification.json"
     source.write_text(json.dumps(old_specification()))
-    found = read("", source)["skirt"].pattern
+    found = read(source).pattern
     assert found is not None
     assert {panel.name for panel in found.panels} == {"front", "back"}
     assert len(found.seams) == 1
@@ -111,7 +101,7 @@ def test_of_a_folder_the_predictions_are_read(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     write_pattern(garment(width=99.0), folder / "specification.json")
     write_pattern(garment(width=30.0), folder / "_predicted_specification.json")
-    assert_perfect(AnswerReader("neuraltailor").read(tmp_path / "predictions")["belt"], garment(width=30.0))
+    assert_perfect(AnswerReader().read(tmp_path / "predictions")["belt"], garment(width=30.0))
 
 
 def test_faults_of_networks_are_repaired_and_named(tmp_path: Path) -> None:
@@ -132,7 +122,7 @@ def test_faults_of_networks_are_repaired_and_named(tmp_path: Path) -> None:
     spec["pattern"]["new_panel_ids"] = [0, None]
     source = tmp_path / "odd.json"
     source.write_text(json.dumps(spec))
-    answer = read("sewformer", source)["odd"]
+    answer = AnswerReader(repair=True).read_file(source)
     said = "; ".join(answer.remarks)
     for fault in (
         "panel nothing: no edge",
@@ -149,57 +139,6 @@ def test_faults_of_networks_are_repaired_and_named(tmp_path: Path) -> None:
     assert len(found.panel("front").edges) == 5
 
 
-# --------------------------------------------------------------------------------------------------------------- arrays
-
-
-def test_a_batch_of_garments_with_names(tmp_path: Path) -> None:
-    parts = [standardised(garment(width=width)) for width in (30.0, 50.0)]
-    batch = {key: np.stack([part[key] for part in parts]) for key in parts[0]}
-    save(tmp_path / "batch.npz", batch, names=np.array(["thin", "wide"]))
-    assert_perfect(read("neuraltailor", tmp_path / "batch.npz")["wide"], garment(width=50.0))
-    tensors = {key: torch.from_numpy(value.copy()).requires_grad_() for key, value in batch.items()}
-    torch.save(tensors, tmp_path / "batch.pt")
-    assert_perfect(read("neuraltailor", tmp_path / "batch.pt")["batch_1"], garment(width=50.0))
-
-
-def test_panels_get_the_names_of_the_true_patterns(tmp_path: Path) -> None:
-    """Presets that match panels by name see the panels of NeuralTailor's classes as strangers."""
-    save(tmp_path / "belt.npz", standardised(garment()))
-    strangers, known = (
-        legacy_scores(
-            "neuraltailor", [read("neuraltailor", tmp_path / "belt.npz", panels=names)["belt"].pattern], [garment()]
-        )
-        for names in ((), ("wb_front", "wb_back"))
-    )
-    assert (strangers["stitch_recall"], known["stitch_recall"]) == (0.0, 1.0)
-
-
-def test_sewformer_with_all_edges_of_a_panel_in_one_row(tmp_path: Path) -> None:
-    arrays = sewformer.encode(garment())
-    scaled = {
-        name: torch.from_numpy(sewformer.SCALINGS[name].apply(getattr(arrays, name)))[None]
-        for name in ("outlines", "rotations", "translations")
-    }
-    rows = scaled["outlines"].reshape(1, 25, 56)
-    similarity = torch.from_numpy(arrays.edge_similarity.copy())[None]
-    scores = torch.from_numpy(arrays.edge_cls.copy()).reshape(1, -1, 1)
-    output = {**scaled, "outlines": rows, "edge_cls": scores, "edge_similarity": similarity}
-    torch.save(output, tmp_path / "belt.pt")
-    assert_perfect(read("sewformer", tmp_path / "belt.pt")["belt_0"], garment())
-
-
-def test_sewingldm_as_rows_of_edges(tmp_path: Path) -> None:
-    array = sewingldm.encode(garment())
-    array[..., :19] = sewingldm.SCALING.apply(array[..., :19])
-    np.save(tmp_path / "belt.npy", array.reshape(39 * 37, 29))
-    assert_perfect(read("sewingldm", tmp_path / "belt.npy")["belt"], garment())
-
-
-def test_garmentdiffusion_in_centimetres(tmp_path: Path) -> None:
-    np.savez(tmp_path / "belts.npz", edges=garmentdiffusion.encode(garment())[None])
-    assert_perfect(read("garmentdiffusion", tmp_path / "belts.npz", raw=True)["belts_0"], garment())
-
-
 def test_aipparel_tokens(tmp_path: Path) -> None:
     tokens = aipparel.encode(garment())
     scaled = {}
@@ -210,13 +149,13 @@ def test_aipparel_tokens(tmp_path: Path) -> None:
         else:
             scaled[command] = aipparel.SCALINGS["vertices"].apply(rows.reshape(-1, 2)).reshape(rows.shape).tolist()
     (tmp_path / "belt.json").write_text(json.dumps({"tokens": tokens.tokens, "values": scaled}))
-    assert_perfect(read("", tmp_path / "belt.json")["belt"], garment())
+    assert_perfect(read(tmp_path / "belt.json"), garment())
 
 
 def test_arrays_of_a_pattern_tensor(tmp_path: Path) -> None:
     tensor = encode_pattern(garment())
     save(tmp_path / "belt.npz", {"panels": tensor.panels, "edges": tensor.edges, "stitches": tensor.stitches})
-    assert_perfect(read("", tmp_path / "belt.npz")["belt"], garment())
+    assert_perfect(read(tmp_path / "belt.npz"), garment())
 
 
 def test_flattened_panels_are_chained_and_sewn_along_their_curves(tmp_path: Path) -> None:
@@ -228,7 +167,7 @@ def test_flattened_panels_are_chained_and_sewn_along_their_curves(tmp_path: Path
         points = [lines[k] if k % 2 else lines[k][::-1] for k in order]
         panels[str(number)] = {"edge_points": points, "curves": [curves[k] for k in order]}
     (tmp_path / "belt.json").write_text(json.dumps({"panels": panels}))
-    answer = read("", tmp_path / "belt.json")["belt"]
+    answer = read(tmp_path / "belt.json")
     assert answer.pattern is not None, answer.failure
     score = score_pattern(answer.pattern, garment())
     assert (score.iou, score.garment_perfect, score.panel_f1) == pytest.approx((1.0, 1.0, 1.0), abs=1e-6)
@@ -253,7 +192,11 @@ def test_losses_of_encodings_are_measured() -> None:
     assert (fit, means["iou"]) == pytest.approx((0.5, 1.0))
 
 
-# --------------------------------------------------------------------------------------------------------------- errors
+def test_pickled_objects_are_refused(tmp_path: Path) -> None:
+    trap = tmp_path / "trap"
+    np.savez(tmp_path / "evil.npz", panels=np.array([Evil(trap)], object), edges=[], stitches=[])
+    assert "cannot be read" in read(tmp_path / "evil.npz").failure
+    assert not trap.exists()
 
 
 class Evil:
@@ -266,65 +209,22 @@ class Evil:
         return Path.touch, (self.path,)
 
 
-@pytest.mark.parametrize("suffix", ["npz", "npy", "pt"])
-def test_pickled_objects_are_refused(suffix: str, tmp_path: Path) -> None:
-    trap, source = tmp_path / "trap", tmp_path / f"evil.{suffix}"
-    evil = np.array([Evil(trap)], object)
-    if suffix == "npz":
-        np.savez(source, outlines=evil)
-    elif suffix == "npy":
-        np.save(source, evil)
-    else:
-        torch.save({"outlines": Evil(trap)}, source)
-    assert "cannot be read" in read("neuraltailor", source)["evil"].failure
-    assert not trap.exists()
-
-
-def test_one_failure_does_not_stop_the_others(tmp_path: Path) -> None:
-    parts = [standardised(garment()), standardised(garment())]
-    parts[0]["outlines"] = np.full_like(parts[0]["outlines"], np.nan)
-    save(tmp_path / "two.npz", {key: np.stack([part[key] for part in parts]) for key in parts[0]})
-    found = read("neuraltailor", tmp_path / "two.npz")
-    assert found["two_0"].pattern is None and "nan" in found["two_0"].failure
-    assert_perfect(found["two_1"], garment())
-
-
-ARRAYS = {name: standardised(garment())[name] for name in ("outlines", "rotations", "translations")}
-
-
 @pytest.mark.parametrize(
-    ("form", "changed", "fault"),
+    ("name", "content", "fault"),
     [
-        ("neuraltailor", {"rotations": None}, "no array rotations among outlines, translations: save the network's"),
-        ("neuraltailor", {"outlines": np.full_like(ARRAYS["outlines"], np.inf)}, "outlines[0, 0, 0] is "),
-        (
-            "neuraltailor",
-            {"outlines": ARRAYS["outlines"].reshape(-1)},
-            "outlines have shape (1288,), not (p",
-        ),
-        ("neuraltailor", {"outlines": ARRAYS["outlines"] * 1j}, "cannot be read (complex numbers): save plain arrays"),
-        (
-            "garmentdiffusion",
-            {"edges": garmentdiffusion.encode(garment())},
-            "GarmentDiffusion published no scaling",
-        ),
-        ("aipparel", {}, "aipparel has no arrays: give a JSON file"),
+        ("belt.json", b'{"pattern": {', "line 1"),
+        ("belt.json", b'{"tokens": [3], "values": {}}', "a token"),
+        ("belt.json", b'{"panels": {"0": {"edge_points": [[[0, 0]], 5]}}}', "edge_points are no lists of points"),
+        ("belt.json", b'{"panels": {}}', "no panel"),
+        ("belt.npz", b"PK", "cannot be read"),
+        ("belt_design_params.yaml", b"design: 5", "design"),
     ],
 )
-def test_failures_name_place_and_remedy(form: str, changed: dict[str, Any], fault: str, tmp_path: Path) -> None:
-    source = tmp_path / "belt.npz"
-    save(source, {name: array for name, array in {**ARRAYS, **changed}.items() if array is not None})
-    assert read(form, source)["belt"].failure.startswith(fault)
-
-
-@pytest.mark.parametrize("suffix", ["npz", "npy", "pt"])
-def test_truncated_files_are_failures(suffix: str, tmp_path: Path) -> None:
-    source, array = tmp_path / f"belt.{suffix}", sewingldm.encode(garment())
-    if suffix == "pt":
-        torch.save({"samples": torch.from_numpy(array)}, source)
-    elif suffix == "npz":
-        np.savez(source, samples=array)
-    else:
-        np.save(source, array)
-    source.write_bytes(source.read_bytes()[:50])
-    assert read("sewingldm", source)["belt"].failure.startswith("cannot be read (")
+def test_failures_name_the_place(name: str, content: bytes, fault: str, tmp_path: Path) -> None:
+    """And the answer beside it is read."""
+    (tmp_path / name).write_bytes(content)
+    write_pattern(garment("other"), tmp_path / "other.json")
+    answer = AnswerReader(size_of=lambda _: measure(build_body(neutral_shape()))).read_file(tmp_path / name)
+    assert answer.pattern is None and fault in answer.failure
+    if name.endswith(".json"):
+        assert_perfect(AnswerReader().read(tmp_path)["other"], garment("other"))
