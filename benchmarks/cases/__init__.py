@@ -62,8 +62,6 @@ CASES: Mapping[str, str] = {
     "measures": "benchmarks.cases.measures",
     "parity": "benchmarks.cases.parity",
     "patterns": "benchmarks.cases.patterns",
-    "pictures_matter": "benchmarks.reconstruction.picture_training",
-    "reconstruction": "benchmarks.cases.reconstruction",
     "remote": "benchmarks.cases.remote",
     "render": "benchmarks.cases.render",
     "scale": "benchmarks.cases.scale",

@@ -156,14 +156,14 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
         return first, second
 
 
-def build(*, smoke: bool, options: Mapping[str, Any]) -> DrapeSurrogate:
-    """The learner; ``options``: fields of ``SurfaceNetConfig``, ``body``, ``body_tokens`` and ``second_rounds``.
+def build(config: Mapping[str, Any]) -> DrapeSurrogate:
+    """The learner; ``config``: fields of ``SurfaceNetConfig``, ``body``, ``body_tokens`` and ``second_rounds``.
 
     Raises ``ConfigError`` for others.
     """
-    given, own = {**(SMALL if smoke else {}), **options}, ("body", "body_tokens", "second_rounds")
+    own = ("body", "body_tokens", "second_rounds")
     least = {"convolutions": 0, "layers": 0, "body_tokens": 0}
-    sizes, arguments = sizes_from("drape_surrogate", SurfaceNetConfig, given, own=own, least=least)
+    sizes, arguments = sizes_from("drape_surrogate", SurfaceNetConfig, config, own=own, least=least)
     return DrapeSurrogate(sizes, **arguments)
 
 

@@ -115,13 +115,13 @@ class EdgeTokens(PointLearner):
         return decode(self.decoder, tokens)
 
 
-def build(*, smoke: bool, options: Mapping[str, Any]) -> EdgeTokens:
-    """The learner; ``options``: fields of ``TokenConfig``, ``points`` and ``stored_points``.
+def build(config: Mapping[str, Any]) -> EdgeTokens:
+    """The learner; ``config``: fields of ``TokenConfig``, ``points`` and ``stored_points``.
 
     Raises ``ConfigError`` for others.
     """
-    given, own, least = {**(SMALL if smoke else {}), **options}, ("points", "stored_points"), {"seen": 0, "noise_mm": 0}
-    sizes, arguments = sizes_from("edge_tokens", TokenConfig, given, own=own, least=least, heads={"width": "heads"})
+    own, least = ("points", "stored_points"), {"seen": 0, "noise_mm": 0}
+    sizes, arguments = sizes_from("edge_tokens", TokenConfig, config, own=own, least=least, heads={"width": "heads"})
     return EdgeTokens(sizes, **arguments)
 
 

@@ -73,13 +73,13 @@ class PanelSet(PointLearner):
         return answers_of(self.decoder, tokens)
 
 
-def build(*, smoke: bool, options: Mapping[str, Any]) -> PanelSet:
-    """The learner; ``options``: fields of ``NetConfig``, ``points`` and ``stored_points``.
+def build(config: Mapping[str, Any]) -> PanelSet:
+    """The learner; ``config``: fields of ``NetConfig``, ``points`` and ``stored_points``.
 
     Raises ``ConfigError`` for others.
     """
-    given, own = {**(SMALL if smoke else {}), **options}, ("points", "stored_points")
-    sizes, arguments = sizes_from("panel_set", NetConfig, given, own=own, least=LEAST, heads=HEADS)
+    own = ("points", "stored_points")
+    sizes, arguments = sizes_from("panel_set", NetConfig, config, own=own, least=LEAST, heads=HEADS)
     return PanelSet(sizes, **arguments)
 
 

@@ -122,14 +122,14 @@ def encoded(garments: GarmentSet) -> PictureDesigns:
     return PictureDesigns(**vars(DesignTargets.of(garments)), **pictures_of(garments))
 
 
-def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureParameters:
-    """The learner; ``options``: fields of ``EncoderConfig``, ``views`` and ``augmented``.
+def build(config: Mapping[str, Any]) -> PictureParameters:
+    """The learner; ``config``: fields of ``EncoderConfig``, ``views`` and ``augmented``.
 
     Raises ``ConfigError`` for others.
     """
-    given, own_names = {**(SMALL if smoke else LARGE), **options}, ("views", "augmented")
+    own_names = ("views", "augmented")
     points, least, heads = ("tokens", "region_width"), {"seen": 0}, {"width": "heads"}
     sizes, own = sizes_from(
-        "picture_parameters", EncoderConfig, given, own=own_names, without=points, least=least, heads=heads
+        "picture_parameters", EncoderConfig, {**LARGE, **config}, own=own_names, without=points, least=least, heads=heads
     )
     return PictureParameters(sizes, **own)

@@ -105,9 +105,8 @@ class ToPictureTargets:
         return PictureTargets(**vars(targets), **pictures_of(garments))
 
 
-def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureSet:
-    """The learner; ``options``: fields of ``NetConfig``, and ``views``. Raises ``ConfigError`` for others."""
-    given = {**(SMALL if smoke else LARGE), **options}
-    points = ("tokens", "region_width")
+def build(config: Mapping[str, Any]) -> PictureSet:
+    """The learner; ``config``: fields of ``NetConfig``, and ``views``. Raises ``ConfigError`` for others."""
+    given, points = {**LARGE, **config}, ("tokens", "region_width")
     sizes, own = sizes_from("picture_set", NetConfig, given, own=("views",), without=points, least=LEAST, heads=HEADS)
     return PictureSet(sizes, **own)

@@ -136,14 +136,14 @@ class Segmentation(Learner[LabelBatch, VertexLabels]):
         return features, self.panels(padded, tokens, exists), self.seams(padded, tokens, exists)
 
 
-def build(*, smoke: bool, options: Mapping[str, Any]) -> Segmentation:
-    """The learner; ``options``: fields of ``SurfaceNetConfig``, and the arguments of ``Segmentation``.
+def build(config: Mapping[str, Any]) -> Segmentation:
+    """The learner; ``config``: fields of ``SurfaceNetConfig``, and the arguments of ``Segmentation``.
 
     Raises ``ConfigError`` for others.
     """
-    given, own = {**(SMALL if smoke else {}), **options}, ("panels", "seams", "decoder_layers", "mesh")
+    own = ("panels", "seams", "decoder_layers", "mesh")
     least = {"convolutions": 0, "layers": 0, "decoder_layers": 0, "mesh": 0}
-    sizes, arguments = sizes_from("segmentation", SurfaceNetConfig, given, own=own, least=least)
+    sizes, arguments = sizes_from("segmentation", SurfaceNetConfig, config, own=own, least=least)
     return Segmentation(sizes, **arguments)
 
 

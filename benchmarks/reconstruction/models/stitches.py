@@ -14,8 +14,9 @@ points of subdivision (``cuts``), which then move to agree with the lengths of t
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,9 +25,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.garments import Arrays, GarmentSet, pattern_of
+from benchmarks.reconstruction.garments import Arrays, GarmentSet, Split, pattern_of
 from benchmarks.reconstruction.learners import Examples, Learner, sizes_from, uploaded
+from benchmarks.reconstruction.options import Config
 from benchmarks.reconstruction.stitching.edge_shapes import EdgeInputs, edges_before, feature_counts
+from benchmarks.reconstruction.stitching.evaluation import tables
 from benchmarks.reconstruction.stitching.graphs import (
     CUT_BINS,
     EdgeBatch,
@@ -45,6 +48,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
+TASKS = ("T3",)
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 8e-4}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {"steps": 240, "batch": 8, "lr": 1.5e-3, "ema": 0.98, "log_every": 20}
@@ -442,11 +446,15 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
         """The patterns with seams, and with subdivided edges where ``subdivide`` allows them."""
         return sew(self.net, batch.patterns, subdivide=Subdivision() if self.subdivide else None)
 
+    def tables(self, split: Split, config: Config, out: Path, *, workers: int) -> dict[str, Any]:
+        """The scores of seams: one to one, n to m, by kind, of other patterns (``stitching.evaluation``)."""
+        found = tables(self.net, split, out, workers=workers, examples=config.examples)
+        return {"arguments": {**asdict(config), **asdict(self.net.config)}, **found}
 
-def build(*, smoke: bool, options: Mapping[str, Any]) -> StitchLearner:
-    """The learner; ``options``: fields of ``StitchConfig``. Raises ``ConfigError`` for others."""
-    given, heads = {**(SMALL if smoke else {}), **options}, {"width": "heads"}
-    sizes, _ = sizes_from("stitches", StitchConfig, given, least=LEAST, heads=heads)
+
+def build(config: Mapping[str, Any]) -> StitchLearner:
+    """The learner; ``config``: fields of ``StitchConfig``. Raises ``ConfigError`` for others."""
+    sizes, _ = sizes_from("stitches", StitchConfig, config, least=LEAST, heads={"width": "heads"})
     return StitchLearner(sizes)
 
 
