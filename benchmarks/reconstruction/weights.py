@@ -17,6 +17,7 @@ from gcd_dataset.files import drafted
 
 WEIGHTS, PART = "weights.pt", 15_000_000  # bytes
 MEANS = ("exp_avg", "exp_avg_sq")
+DAMAGED = (RuntimeError, EOFError, ValueError, LookupError, UnpicklingError)  # of ``torch.load``
 
 
 def save_weights(folder: Path, averaged: nn.Module, optimizer: torch.optim.Optimizer, model: nn.Module) -> None:
@@ -43,7 +44,7 @@ def load_weights(path: Path, model: nn.Module, optimizer: torch.optim.Optimizer 
                 if name in found:
                     means = {key: found[name][key].to(parameter) for key in MEANS}
                     optimizer.state[parameter] = {"step": found[name]["step"], **means}
-    except (OSError, RuntimeError, EOFError, ValueError, KeyError, TypeError, UnpicklingError) as error:
+    except (*DAMAGED, OSError, TypeError) as error:
         raise ConfigError(f"{path}: no weights of this network ({error!s:.200}): give its --model and --set") from error
 
 
@@ -52,7 +53,7 @@ def read_checkpoint(path: Path, identity: Mapping[str, Any], device: torch.devic
     try:
         state: dict[str, Any] = torch.load(path, map_location=device, weights_only=True)
         theirs = state["config"]
-    except (RuntimeError, EOFError, ValueError, KeyError, UnpicklingError) as error:
+    except DAMAGED as error:
         raise ConfigError(f"{path}: no checkpoint ({error!s:.99}): delete it, the training starts again") from error
     for name, value in identity.items():
         if theirs.get(name) != value:

@@ -11,10 +11,10 @@ from benchmarks.reconstruction import picture_model
 from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.design_codes import PARAMETERS, encode_design
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
-from benchmarks.reconstruction.models import load_model
 from benchmarks.reconstruction.picture_model import MOST_GROWTH, MOST_SHIFT, MOST_TURN, STRIDE, PictureTokens, distorted
 from benchmarks.reconstruction.point_net import EncoderConfig
 from gcd_dataset.records import BodyPart
+from tests.benchmarks.reconstruction.toys import small
 
 CPU = torch.device("cpu")
 PATHS = [leaf.path for leaf in PARAMETERS]
@@ -36,7 +36,7 @@ MODELS = ("picture_set", "picture_parameters")
 
 def learner(model: str = "picture_set", **sizes: int) -> Any:
     torch.manual_seed(0)
-    return load_model(model).build(smoke=True, options=sizes)
+    return small(model, **sizes)
 
 
 def shades(pictures: torch.Tensor) -> list[int]:

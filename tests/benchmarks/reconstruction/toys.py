@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, sin
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from benchmarks.reconstruction.learners import Learner, TensorExamples
+from benchmarks.reconstruction.models import load_model
 from benchmarks.reconstruction.models.stitches import (
     StitchConfig,
     StitchNet,
@@ -50,6 +52,13 @@ class LineLearner(Learner[Line, float]):
     def predict(self, batch: Line) -> list[float]:
         with torch.no_grad():
             return self.net(batch.x)[:, 0].tolist()
+
+
+def small(model: str, **sizes: float) -> Learner[Any, Any]:
+    """The network of the smallest training, with other sizes where given."""
+    module = load_model(model)
+    learner: Learner[Any, Any] = module.build({**module.SMALL, **sizes})
+    return learner
 
 
 # -------------------------------------------------------------------------------------------------------- sewn patterns
