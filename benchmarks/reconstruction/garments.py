@@ -146,7 +146,7 @@ class GarmentSet:
         return replace(parts[0], **columns, ragged=ragged)
 
     def pattern_hash(self, first: int = 0, step: int = 1) -> PatternHash:
-        """Hash of the patterns, which are numbers ``first``, ``first + step`` … of a set (``gcd_dataset.patternhash``)."""
+        """Hash (``gcd_dataset.patternhash``) of the patterns, numbers ``first``, ``first + step`` … of a set."""
         return PatternHash.of((first + step * k, _tensor(self.arrays(k))) for k in range(len(self)))
 
     @cached_property

@@ -13,8 +13,10 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVar, cast
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.optimize import linear_sum_assignment
 from torch import Tensor, nn
 
 from gcd_dataset.errors import ConfigError
@@ -51,8 +53,7 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
     is_recordable: ClassVar[bool] = False
     """Whether a compiled training on a GPU records a step (``recording``).
 
-    The loss must wait for nothing on the device. A batch of the examples ``of_one_shape`` must be a dataclass that
-    differs from other batches only by the values of its tensors.
+    The loss must wait for nothing on the device, and batches of equally many rows must differ by their tensors' values.
     """
 
     @abstractmethod
@@ -83,10 +84,6 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
         rows = torch.split(torch.arange(count), batch)
         return [answer for part in rows for answer in self.predict(examples.batch(part))]
 
-    def of_one_shape(self, examples: Examples[Batch]) -> Examples[Batch]:
-        """The examples, such that batches of equally many rows have one shape; by default the same examples."""
-        return examples
-
     def tables(self, split: "Split", config: "Config", out: Path, *, workers: int) -> dict[str, Any]:
         """Further entries of the report, besides the scores of the answers; by default none."""
         return {}
@@ -108,6 +105,7 @@ def uploaded(numbers: Tensor, device: torch.device) -> Tensor:
     return numbers.to(device, non_blocking=True)
 
 
+WORST = 1e6  # stands for costs that are no numbers
 CHUNK = 64  # garments that a process encodes at once
 Encoded = TypeVar("Encoded", bound="TensorExamples")
 
@@ -136,6 +134,20 @@ def squared_distances(one: Float[Tensor, "*b n d"], other: Float[Tensor, "*b m d
         apart = first[..., :, None] - second[..., None, :]
         found.addcmul_(apart, apart)
     return found
+
+
+@torch.no_grad()
+def least_cost(cost: Float[Tensor, "b r c"], asked: Bool[Tensor, "b r"]) -> Int[Tensor, "b r"]:
+    """The column of each row ``asked`` for, different columns at least total cost; 0 for the other rows.
+
+    The device is waited for. There are at least as many columns as rows. Costs that are not finite are large.
+    """
+    found = torch.zeros(asked.shape, dtype=torch.int64)
+    tables = torch.nan_to_num(cost.float(), nan=WORST, posinf=WORST, neginf=-WORST).cpu().numpy()
+    for one, table, chosen in zip(found, tables, asked.cpu().numpy(), strict=True):
+        rows = np.flatnonzero(chosen)
+        one[rows] = torch.from_numpy(linear_sum_assignment(table[rows])[1])
+    return uploaded(found, cost.device)
 
 
 class TensorExamples:

@@ -13,8 +13,8 @@ MINUTES = 8.0  # of a training without --steps
 SMOKE: Mapping[str, Any] = {"train": 16, "test": 8, "resolution": 4.0, "workers": 0}
 """Options of the smallest run."""
 OF_WEIGHTS = (
-    "model", "task", "train", "source", "leave_out", "fresh", "resolution", "sizes", "weights", "smoke", "steps", "minutes",
-    "batch", "lr", "warm_up", "weight_decay", "ema", "seed",
+    "model", "task", "train", "source", "leave_out", "fresh", "resolution", "sizes", "weights", "smoke", "steps",
+    "minutes", "batch", "lr", "warm_up", "weight_decay", "ema", "seed",
 )  # fmt: skip
 """Options that the weights of a training depend on."""
 
@@ -44,7 +44,9 @@ class Config:
     workers: int = option(-1, "processes that make, encode and score; -1: all cores but one, shared by the ranks")
     drape: bool = option(default=False, text="also score drapes of the answers; a finished run is only draped")
     examples: str = option("", "T3: folder of specification files that are scored, too (T7)")
-    sizes: Mapping[str, float] = field(default_factory=dict, metadata={"help": "sizes of the network, such as width=256"})
+    sizes: Mapping[str, float] = field(
+        default_factory=dict, metadata={"help": "sizes of the network, such as width=256"}
+    )
     weights: str = option("", "weights.pt to begin from; the moments of the optimiser beside it are taken, too")
     smoke: bool = option(default=False, text="few coarse garments and a tiny network, for two cores")
     steps: int = option(0, "optimiser steps; 0: as many as --minutes allows")
@@ -68,7 +70,8 @@ class Config:
         if bool(self.steps) == bool(self.minutes):
             raise ConfigError(f"--steps {self.steps} --minutes {self.minutes:g}: give one of them, above 0")
         if not self.lr or not self.batch or self.ema >= 1:
-            raise ConfigError(f"--lr {self.lr:g} --batch {self.batch} --ema {self.ema:g}: give two above 0, ema below 1")
+            given = f"--lr {self.lr:g} --batch {self.batch} --ema {self.ema:g}"
+            raise ConfigError(f"{given}: give a rate and a batch above 0, an ema below 1")
         if self.fresh and self.fresh < self.train:
             raise ConfigError(f"--fresh {self.fresh}: give room for the {self.train} garments of --train, and more")
 

@@ -16,7 +16,7 @@ WARM_UP = 3  # passes before the recording, in which kernels are loaded and tune
 def recorded(model: nn.Module, losses_of: Callable[[Any], Tensor], batch: Any) -> Callable[[Any], Tensor]:
     """``losses_of``, recorded for batches of one shape on a GPU: loss terms, and gradients of the model.
 
-    ``losses_of`` waits for nothing on the device, and fills the gradients anew; these must not be set to ``None`` later.
+    ``losses_of`` waits for nothing on the device, and fills the gradients anew; do not set these to ``None`` later.
     ``batch``: a dataclass of tensors; its other fields are the same in all batches.
     """
     held = replace(batch, **{name: value.clone() for name, value in tensors_of(batch).items()})

@@ -1,10 +1,10 @@
 """A run around the training loop: its garments, examples and checks, its answers, scores and files.
 
 ``--out`` receives ``predictions/KEY.json`` and ``truth/KEY.json``, specification files that the evaluator reads too
-(answers that are no patterns: ``predictions/KEY.npz``); ``scores.csv``, a row for each test garment; ``report.json`` with
-mean scores, 95 % intervals, options and hashes of the data; ``curves.csv``; ``pictures/`` with answers beside truth;
-``weights.pt``; and ``evaluation.json`` with the scores of drapes (``--drape``), beside the points that the answers were
-told from (T1), or the draped true patterns.
+(answers that are no patterns: ``predictions/KEY.npz``); ``scores.csv``, a row for each test garment; ``report.json``
+with mean scores, 95 % intervals, options and hashes of the data; ``curves.csv``; ``pictures/`` with answers beside
+truth; ``weights.pt``; and ``evaluation.json`` with the scores of drapes (``--drape``), beside the points that the
+answers were told from (T1), or the draped true patterns.
 """
 
 import csv
@@ -14,7 +14,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any

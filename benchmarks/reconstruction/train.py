@@ -1,14 +1,14 @@
 """Train a model on a task: one loop for all tasks, models and machines.
 
-    python -m benchmarks.reconstruction.train --model panel_set --task T0 --smoke --out out         a minute on two cores
+    python -m benchmarks.reconstruction.train --model panel_set --task T0 --smoke --out out     a minute on two cores
     python -m benchmarks.reconstruction.train --model my/model.py:build --task T1 --train 4000 --minutes 8 --out out
     torchrun --nproc-per-node 4 -m benchmarks.reconstruction.train --model parameters --task T1 --train 160000 \
         --minutes 15 --compile --validate 500 --out out
 
 The garments are made from seeds and kept in ``--data``, or read from ``--source``. A repeated call goes on from the
-checkpoint in ``--out``; SIGINT or SIGTERM ends a call with a checkpoint and exit code 3. What is drawn in step k depends
-on the seed, k and the rank alone. ``torchrun`` starts several ranks: each reads its share of the garments, draws its
-part of every batch from it, and the gradients are averaged. Answers, scores and files of a run: ``report``.
+checkpoint in ``--out``; SIGINT or SIGTERM ends a call with a checkpoint and exit code 3. What is drawn in step k
+depends on the seed, k and the rank alone. ``torchrun`` starts several ranks: each reads its share of the garments,
+draws its part of every batch from it, and the gradients are averaged. Answers, scores and files of a run: ``runs``.
 """
 
 import copy
@@ -77,7 +77,7 @@ def train(
 ) -> Trained:
     """Train a learner, or go on from the checkpoint in ``out``, which receives checkpoints and curves.
 
-    Raises ``StoppedError`` for a training that a signal ends, and ``ConfigError`` for weights or a checkpoint of another
+    Raises ``StoppedError`` for a training that a signal ends; ``ConfigError`` for weights or a checkpoint of another
     network, and for a loss that is not finite.
     """
     state = _State(learner.to(device), config, device)
@@ -86,7 +86,6 @@ def train(
     if config.compile and state.progress < 1:
         learner.compile_parts()
         if learner.is_recordable and device.type == "cuda":
-            examples = learner.of_one_shape(examples)
             state.losses_of = recorded(learner, state.losses_of, state.batch(examples))
     next_check = math.floor(state.progress * config.checks) + 1
     with ending_signals() as is_signalled:
@@ -125,8 +124,8 @@ class _State:
             torch.set_float32_matmul_precision("high")  # TF32 outside autocast
         trained = [p for p in learner.parameters() if p.requires_grad]
         groups = [
-            {"params": [p for p in trained if (p.ndim > 1) == is_matrix], "weight_decay": config.weight_decay * is_matrix}
-            for is_matrix in (True, False)
+            {"params": [p for p in trained if (p.ndim > 1) == decays], "weight_decay": config.weight_decay * decays}
+            for decays in (True, False)
         ]
         self.optimizer = torch.optim.AdamW(groups, lr=config.lr, betas=BETAS, fused=device.type == "cuda")
         if config.weights:

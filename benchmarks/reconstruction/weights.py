@@ -1,7 +1,7 @@
 """Weights in bfloat16 that others can load, and the moments of the optimiser with which a training goes on.
 
-``weights.pt`` holds the averaged weights: 2 bytes a parameter, buffers as they are. ``moments_0.pt`` … hold the means of
-AdamW in parts of at most 15 MB, for machines between which only small files travel.
+``weights.pt`` holds the averaged weights: 2 bytes a parameter, buffers as they are. ``moments_0.pt`` … hold the means
+of AdamW in parts of at most 15 MB, for machines between which only small files travel.
 """
 
 from collections.abc import Iterator, Mapping

@@ -17,7 +17,7 @@ from gcd_dataset.errors import ConfigError
 __all__ = ["MODELS", "load_model"]
 
 NETWORKS = (
-    "panel_set", "edge_tokens", "parameters", "picture_set", "picture_parameters", "stitches", "segmentation",
+    "panel_set", "edge_tokens", "parameters", "picture_parameters", "stitches", "segmentation",
     "drape_surrogate", "measures",
 )  # fmt: skip
 BASELINES = (

@@ -52,7 +52,6 @@ $TRAIN --model picture_parameters --task T2 --set augmented=1 --train 4000 --min
 $TRAIN --model picture_parameters --task T2 --set augmented=1 --train 4000 --fresh 20000 --minutes 2 --checks 1 --workers 15 --compile --make-device cuda:1 --drape --out runs/T2-fresh
 $TRAIN --model picture_parameters --task T2 --set augmented=1 --train 8000 --fresh 24000 --minutes 7 --checks 1 --workers 40 --compile --make-device cuda:1 --drape --out runs/T2-long
 $TRAIN --model picture_parameters --task T2 --set views=1 augmented=1 --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/T2-one_view
-$TRAIN --model picture_set --task T2 --train 4000 --minutes 2 --drape --checks 1 --out runs/T2-4k-picture_set
 $TRAIN --model typical --task T2 --train 4000 --drape --out runs/T2-reference
 
 $TRAIN --model stitches --task T3 --train 24000 --minutes 5.5 --workers 16 --examples runs/freesewing --out runs/T3

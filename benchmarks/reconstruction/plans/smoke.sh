@@ -10,7 +10,6 @@ $TRAIN --model ceiling --task T0 --out runs/smoke/T0-ceiling
 $TRAIN --model benchmarks/examples/tiny_model.py:build --task T0 --out runs/smoke/T0-tiny_model
 $TRAIN --model panel_set --task T1 --out runs/smoke/T1-panel_set
 $TRAIN --model panel_set --task T1-scan --out runs/smoke/T1-scan-panel_set
-$TRAIN --model picture_set --task T2 --out runs/smoke/T2-picture_set
 $TRAIN --model picture_parameters --task T2 --out runs/smoke/T2-picture_parameters
 $TRAIN --model typical --task T2 --out runs/smoke/T2-typical
 $TRAIN --model stitches --task T3 --out runs/smoke/T3-stitches

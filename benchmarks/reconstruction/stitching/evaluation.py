@@ -127,8 +127,9 @@ def foreign(net: "StitchNet", folder: Path) -> dict[str, Any]:
 
 
 def write(folder: Path, patterns: Sequence[Pattern]) -> None:
-    """Write the specifications of patterns for the evaluator."""
-    make_folder(folder)
+    """Write the specifications of patterns for the evaluator; files of an earlier run are removed."""
+    for old in make_folder(folder).glob("*_?????????_specification.json"):
+        old.unlink()
     for pattern in patterns:
         write_pattern(pattern, folder / f"{pattern.name}_specification.json")
 

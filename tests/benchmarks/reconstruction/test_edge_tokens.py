@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 import pytest
 import torch
 
+from benchmarks.reconstruction.edge_decoder import decode
 from benchmarks.reconstruction.edge_sequence import (
     CLOSING_CURVE,
     CLOSING_LINE,
@@ -19,7 +20,7 @@ from benchmarks.reconstruction.edge_sequence import (
     tokens_of,
 )
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models.edge_tokens import SMALL, EdgeTokens, build, decode
+from benchmarks.reconstruction.models.edge_tokens import SMALL, EdgeTokens, build
 from benchmarks.reconstruction.panel_targets import PanelTargets, patterns_from
 from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.metrics import score_pattern

@@ -14,7 +14,6 @@ from benchmarks.reconstruction.leaderboard import main
 from benchmarks.reconstruction.models import load_model
 from benchmarks.reconstruction.options import parsed
 from benchmarks.reconstruction.results import read_entries
-from gcd_dataset.errors import ConfigError
 
 
 def result(

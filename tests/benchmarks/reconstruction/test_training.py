@@ -17,6 +17,7 @@ from torch import Tensor
 from benchmarks.reconstruction import train as loop
 from benchmarks.reconstruction.learners import FreshPool
 from benchmarks.reconstruction.options import Config
+from benchmarks.reconstruction.recording import replace_tensors
 from benchmarks.reconstruction.runs import BETTER, Trained
 from benchmarks.reconstruction.train import StoppedError, learning_rate, train
 from benchmarks.reconstruction.weights import load_weights
@@ -245,3 +246,14 @@ def test_an_error_of_the_stream_is_raised() -> None:
     found = FreshPool(LineLearner(), numbered(0), stream, room=4)
     with pytest.raises(ValueError, match="no cloth"):
         advance_to(found, 2)
+
+
+def test_a_batch_takes_the_values_of_another_of_its_shapes() -> None:
+    """As a recorded step needs, whose tensors stay where they are."""
+    held, other = numbered(0, 1), numbered(2, 3)
+    place = held.x.data_ptr()
+    replace_tensors(held, other)
+    assert held.y.tolist() == [2, 3]
+    assert held.x.data_ptr() == place
+    with pytest.raises(ValueError, match="shapes"):
+        replace_tensors(held, numbered(1))

@@ -12,11 +12,8 @@ from torch import Tensor, nn
 
 from benchmarks.reconstruction.learners import Learner, TensorExamples
 from benchmarks.reconstruction.models import load_model
-from benchmarks.reconstruction.models.stitches import (
-    StitchConfig,
-    StitchNet,
-)
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
+from benchmarks.reconstruction.stitching.net import StitchConfig, StitchNet
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.tensors import encode_pattern
