@@ -85,6 +85,7 @@ def train(
     rows = state.restore(path, examples) if path is not None and path.exists() else []
     if config.compile and state.progress < 1:
         learner.compile_parts()
+        state.losses_of(state.batch(examples))  # compiles now, not in the time of the steps
         if learner.is_recordable and device.type == "cuda":
             state.losses_of = recorded(learner, state.losses_of, state.batch(examples))
     next_check = math.floor(state.progress * config.checks) + 1

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import drafted
 
-WEIGHTS, PART = "weights.pt", 15_000_000  # bytes
+WEIGHTS, PART = "weights.pt", 14_500_000  # bytes
 MEANS = ("exp_avg", "exp_avg_sq")
 DAMAGED = (RuntimeError, EOFError, ValueError, LookupError, UnpicklingError)  # of ``torch.load``
 

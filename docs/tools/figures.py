@@ -299,8 +299,8 @@ FIGURES = (
         ),
         lambda r: "the longest edges joined first: F1 0.29",
         on="NVIDIA H100",
-        command="python -m benchmarks.reconstruction.stitching.run --foreign 0.1 --train 24000 --minutes 8 "
-        "--checks 2 --compile --out OUT",
+        command="python -m benchmarks.reconstruction.train --model stitches --task T3 --set foreign=0.1 --train 24000 "
+        "--minutes 8 --checks 2 --compile --out OUT",
     ),
     Figure(
         "patterns from points of unseen drapes: a network, 7 minutes on 40,000 garments",
@@ -317,22 +317,9 @@ FIGURES = (
             f"`nearest`, untrained, {_values_of_patterns(r, 'nearest', '40,000')}"
         ),
         on="NVIDIA H100",
-        command="python -m benchmarks.reconstruction.train parameters --task T1 --set augmented=1 labelled=1 seen=0 "
+        command="python -m benchmarks.reconstruction.train --model parameters --task T1 --set augmented=1 labelled=1 seen=0 "
         "--train 40000 --minutes 7 --compile --drape",
         short=True,
-    ),
-    Figure(
-        "panels from two pictures with prints, cloth, people, lights and places unlike those of the training",
-        "pictures_matter",
-        lambda r: f"IoU {r.value('pictures_matter.drawn_on_held_out_iou'):.2f} if trained on drawn pictures",
-        lambda r: f"plain pictures, a colour a panel: {r.value('pictures_matter.plain_on_held_out_iou'):.2f}",
-        short=True,
-    ),
-    Figure(
-        "panels from mesh points, unseen T-shirts and circle skirts: a small network",
-        "reconstruction",
-        lambda r: f"IoU {r.value('reconstruction.network_iou'):.2f}",
-        lambda r: f"nearest training garment: {r.value('reconstruction.nearest_iou'):.2f}",
     ),
     Figure(
         "100 garments each on other bodies, without a crossing edge: T-pose; arms forward; legs wide; a scan of "
