@@ -221,6 +221,7 @@ def answered(
         "device": torch.cuda.get_device_name() if device.type == "cuda" else "cpu",
         "steps": trained.steps if trained else 0,
         "minutes": trained.seconds / 60 if trained else 0.0,
+        "train_s": trained.seconds if trained else 0.0,
         "parameters": sum(p.numel() for p in trained.learner.parameters()) if trained else 0,
         "first_loss": trained.curve[0]["loss"] if trained else None,
         "last_loss": trained.curve[-1]["loss"] if trained else None,

@@ -274,7 +274,7 @@ def run(config: Config) -> Mapping[str, Sequence[float]]:
             trained = train(learner, examples, config, device=device, out=out, check=watch)
             received = getattr(examples, "received", 0)
         if report is None:
-            times = {"load_s": loaded - begun, "train_s": time.perf_counter() - loaded, "fresh": received}
+            times = {"load_s": loaded - begun, "fresh": received}
             report = answered(config, task, model, split, trained, device, times)
         if rank():
             return {}
