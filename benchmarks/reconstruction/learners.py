@@ -187,20 +187,20 @@ class TensorExamples:
         return [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
 
 
-Config = TypeVar("Config")
+Sizes = TypeVar("Sizes")
 NONE: Mapping[str, Any] = {}
 
 
 def sizes_from(
     model: str,
-    kind: type[Config],
+    kind: type[Sizes],
     options: Mapping[str, Any],
     *,
     own: Sequence[str] = (),
     without: Sequence[str] = (),
     least: Mapping[str, int] = NONE,
     heads: Mapping[str, str] = NONE,
-) -> tuple[Config, dict[str, Any]]:
+) -> tuple[Sizes, dict[str, Any]]:
     """The configuration of a network, and the options ``own``, which it has no fields for.
 
     ``without``: fields that the network does not use. ``least``: least values of sizes, 1 for others. ``heads``: names

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.reconstruction.models import MODELS, load_model, stitches
-from benchmarks.reconstruction.models.stitches import StitchConfig
+from benchmarks.reconstruction.stitching.net import StitchConfig
 from benchmarks.reconstruction.tasks import task_named
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole

@@ -134,9 +134,11 @@ class _State:
         same_on_all_ranks(learner.state_dict().values())
         self.averaged = copy.deepcopy(learner).requires_grad_(False).eval()
         self._pairs = list(zip(self.averaged.state_dict().values(), learner.state_dict().values(), strict=True))
-        self.step, self.seconds, self.best = 0, 0.0, None  # type: int, float, tuple[float, dict[str, Tensor]] | None
+        self.step, self.seconds = 0, 0.0
+        self.best: tuple[float, dict[str, Tensor]] | None = None
         self.losses_of: Callable[[Any], Tensor] = self._pass
-        self._names, self._losses, self._ended = list[str](), list[Tensor](), None
+        self._names, self._losses = list[str](), list[Tensor]()
+        self._ended: torch.cuda.Event | None = None
 
     @property
     def progress(self) -> float:
@@ -158,7 +160,7 @@ class _State:
         self._losses.append(torch.cat([losses.sum()[None], losses]))
         self.step += 1
         if self.device.type == "cuda":  # wait for the step before the last: a step starts in less time than it takes
-            before, self._ended = self._ended, torch.cuda.Event()
+            before, self._ended = self._ended, torch.cuda.Event()  # type: ignore[no-untyped-call]
             self._ended.record(torch.cuda.current_stream(self.device))
             last = self._ended if self.step % self.config.log_every == 0 else before
             if last is not None:

@@ -40,10 +40,10 @@ def load_weights(path: Path, model: nn.Module, optimizer: torch.optim.Optimizer 
         model.load_state_dict(_load(path))
         if optimizer is not None:
             found = {name: each for part in path.parent.glob("moments_*.pt") for name, each in _load(part).items()}
-            for name, parameter in model.named_parameters():
-                if name in found:
-                    means = {key: found[name][key].to(parameter) for key in MEANS}
-                    optimizer.state[parameter] = {"step": found[name]["step"], **means}
+            names = {parameter: name for name, parameter in model.named_parameters()}
+            order = [names[parameter] for group in optimizer.param_groups for parameter in group["params"]]
+            states = {number: found[name] for number, name in enumerate(order) if name in found}
+            optimizer.load_state_dict({**optimizer.state_dict(), "state": states})  # in the parameters' dtype and place
     except (*DAMAGED, OSError, TypeError) as error:
         raise ConfigError(f"{path}: no weights of this network ({error!s:.200}): give its --model and --set") from error
 

@@ -317,8 +317,8 @@ FIGURES = (
             f"`nearest`, untrained, {_values_of_patterns(r, 'nearest', '40,000')}"
         ),
         on="NVIDIA H100",
-        command="python -m benchmarks.reconstruction.train --model parameters --task T1 --set augmented=1 labelled=1 seen=0 "
-        "--train 40000 --minutes 7 --compile --drape",
+        command="python -m benchmarks.reconstruction.train --model parameters --task T1 --set augmented=1 labelled=1 "
+        "seen=0 --train 40000 --minutes 7 --compile --drape",
         short=True,
     ),
     Figure(

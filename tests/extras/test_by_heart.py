@@ -8,9 +8,10 @@ import torch
 
 from benchmarks.reconstruction.garments import GarmentSet, generated, pattern_of
 from benchmarks.reconstruction.models import load_model, stitches
-from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner
+from benchmarks.reconstruction.models.stitches import StitchLearner
 from benchmarks.reconstruction.options import Config
 from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
+from benchmarks.reconstruction.stitching.net import StitchConfig
 from benchmarks.reconstruction.stitching.scores import score_stitches
 from benchmarks.reconstruction.stitching.sewing import sew
 from benchmarks.reconstruction.tasks import NAMED

@@ -81,7 +81,7 @@ def test_garments_are_seen_in_drawn_pictures() -> None:
 @pytest.mark.parametrize("model", ["panel_set", "picture_parameters"])
 def test_processes_encode_the_same_targets(model: str, skirts: GarmentSet) -> None:
     learner = small(model)
-    one, two = (learner.prepare(skirts, device=CPU, workers=workers).whole for workers in (0, 2))
+    one, two = (vars(learner.prepare(skirts, device=CPU, workers=workers))["whole"] for workers in (0, 2))
     assert all(torch.equal(value, getattr(two, name)) for name, value in vars(one).items())
 
 

@@ -34,8 +34,9 @@ from benchmarks.reconstruction.edge_sequence import (
     tokens_of,
 )
 from benchmarks.reconstruction.learners import mean_of, sizes_from
-from benchmarks.reconstruction.models.panel_set import LEAST_EDGES, TINY
 from benchmarks.reconstruction.models.panel_set import SMALL as SMALL_PANEL_SET
+from benchmarks.reconstruction.models.panel_set import TINY
+from benchmarks.reconstruction.panel_answers import LEAST_EDGES
 from benchmarks.reconstruction.panel_net import axes_of
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets
 from benchmarks.reconstruction.point_net import PointLearner

@@ -30,7 +30,7 @@ from gcd_dataset.spec import read_pattern, write_pattern
 from gcd_dataset.workers import parallel_map
 
 if TYPE_CHECKING:
-    from benchmarks.reconstruction.models.stitches import StitchNet
+    from benchmarks.reconstruction.stitching.net import StitchNet
 
 Score = TypeVar("Score", StitchScore, IntervalScore)
 

@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -159,7 +160,7 @@ def test_a_validation_set_chooses_the_weights_and_the_training_set_the_range_of_
 def test_ranks_share_the_garments_of_a_set(tmp_path: Path, small: list[str]) -> None:
     """Each reads every second one; together they have the hashes of the whole."""
     config = parsed([*small, "--out", str(tmp_path)])
-    data = {"data": Path(config.data), "tested": 3, "resolution": 6.0, "design": runs.SKIRTS}
+    data: dict[str, Any] = {"data": Path(config.data), "tested": 3, "resolution": 6.0, "design": runs.SKIRTS}
     whole = TASKS["T0"].load(4, **data).train
     shares = [TASKS["T0"].load(4, share=(k, 2), **data).train for k in range(2)]
     assert [share.keys for share in shares] == [whole.keys[::2], whole.keys[1::2]]

@@ -123,6 +123,12 @@ def test_a_training_begins_from_weights_and_moments(tmp_path: Path) -> None:
     moments = torch.load(tmp_path / "moments_0.pt", weights_only=True)
     assert moments["net.1.weight"]["step"] == 40
     assert moments["net.1.weight"]["exp_avg"].dtype == torch.bfloat16
+    optimizer = torch.optim.AdamW(rounded.parameters())
+    load_weights(tmp_path / "weights.pt", rounded, optimizer)
+    kept = torch.load(tmp_path / "checkpoint.pt", weights_only=True)["optimizer"]["state"][0]
+    state = optimizer.state[next(rounded.parameters())]
+    assert torch.allclose(state["exp_avg_sq"], kept["exp_avg_sq"], rtol=2**-8)
+    assert state["exp_avg_sq"].dtype == torch.float32
     with pytest.raises(ConfigError, match="no weights of this network"):
         trained(config=replace(config, weights=str(tmp_path / "curves.csv")))
 
