@@ -15,11 +15,9 @@ from benchmarks.reconstruction.surfaces import (
     SurfaceArrays,
     SurfaceBatch,
     SurfaceStore,
-    cloud_of,
     drawn_turn,
     packed_rows,
     surface_of,
-    vertex_normals,
 )
 from benchmarks.reconstruction.vertex_labels import true_labels
 from gcd_dataset.workers import parallel_map
@@ -40,12 +38,10 @@ class LabelBatch:
 class LabelledSurfaces:
     """Meshes with labels on a device; batches are turned, mirrored and scaled at random."""
 
-    def __init__(
-        self, garments: GarmentSet, with_edges: bool, *, tokens: int, device: torch.device, workers: int = 0
-    ) -> None:
+    def __init__(self, garments: GarmentSet, *, tokens: int, device: torch.device, workers: int = 0) -> None:
         ragged = garments.ragged
         meshes = ((ragged["verts"][k], ragged["faces"][k]) for k in range(len(garments)))
-        surfaces = list(parallel_map(partial(_prepared, tokens, with_edges), meshes, workers))
+        surfaces = list(parallel_map(partial(_prepared, tokens), meshes, workers))
         self.store = SurfaceStore(surfaces, tokens=tokens, device=device)
         truths = [true_labels(garments, k) for k in range(len(garments))]
         self._labels = {
@@ -69,10 +65,8 @@ class LabelledSurfaces:
         return LabelBatch(surface, **labels)
 
 
-def _prepared(tokens: int, with_edges: bool, mesh: tuple[np.ndarray, np.ndarray]) -> SurfaceArrays:
-    if with_edges:
-        return surface_of(*mesh, clusters=tokens)
-    return cloud_of(mesh[0].astype(float), vertex_normals(*mesh), clusters=tokens)
+def _prepared(tokens: int, mesh: tuple[np.ndarray, np.ndarray]) -> SurfaceArrays:
+    return surface_of(*mesh, clusters=tokens)
 
 
 class _Members:

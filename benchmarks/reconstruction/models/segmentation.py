@@ -51,13 +51,10 @@ class Segmentation(Learner[LabelBatch, VertexLabels]):
         panels: int = 40,
         seams: int = 128,
         decoder_layers: int = 3,
-        mesh: int = 1,
     ) -> None:
-        """``panels``, ``seams``: most of a garment; ``decoder_layers``: of each set. ``mesh``: 0 to see the vertices as
-        points without edges.
-        """
+        """``panels``, ``seams``: most of a garment; ``decoder_layers``: of each set."""
         super().__init__()
-        self.config, self.mesh = config or SurfaceNetConfig(), bool(mesh)
+        self.config = config or SurfaceNetConfig()
         self.net = SurfaceNet(self.config, features=0)
         self.panels = SetHead(self.config, panels, decoder_layers)
         self.seams = SetHead(self.config, seams, decoder_layers)
@@ -67,7 +64,7 @@ class Segmentation(Learner[LabelBatch, VertexLabels]):
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "LabelledSurfaces":
         """The meshes with clusters, and their labels."""
-        return LabelledSurfaces(garments, self.mesh, tokens=self.config.tokens, device=device, workers=workers)
+        return LabelledSurfaces(garments, tokens=self.config.tokens, device=device, workers=workers)
 
     def compile_parts(self) -> None:
         self.net.compile_convolutions()
@@ -118,8 +115,8 @@ def build(config: Mapping[str, Any]) -> Segmentation:
 
     Raises ``ConfigError`` for others.
     """
-    own = ("panels", "seams", "decoder_layers", "mesh")
-    least = {"convolutions": 0, "layers": 0, "decoder_layers": 0, "mesh": 0}
+    own = ("panels", "seams", "decoder_layers")
+    least = {"convolutions": 0, "layers": 0, "decoder_layers": 0}
     sizes, arguments = sizes_from("segmentation", SurfaceNetConfig, config, own=own, least=least)
     return Segmentation(sizes, **arguments)
 
