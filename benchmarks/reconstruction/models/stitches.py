@@ -169,6 +169,10 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
         graphs = [graph for variants in parallel_map(_variants, jobs, workers) for graph in variants]
         return StitchExamples(PackedGraphs.of(graphs).to(device), tuple(patterns), self.net.config)
 
+    def compile_parts(self) -> None:
+        for block in self.net.blocks:
+            block.compile(dynamic=True)
+
     def loss(self, batch: StitchBatch) -> dict[str, Tensor]:
         """Negative log-likelihood of the partners, of the side and of the points of subdivision."""
         terms, begin = [], 0
