@@ -34,13 +34,13 @@ def one_of_several(device: str) -> Iterator[torch.device]:
 
     Raises ``ConfigError`` for an unknown device, several, and one that this machine does not have.
     """
-    own = _device(device)
-    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+    own, several = _device(device), int(os.environ.get("WORLD_SIZE", "1")) > 1
+    if own.type == "cuda":
+        own = torch.device("cuda", int(os.environ["LOCAL_RANK"])) if several else own
+        torch.cuda.set_device(own)
+    if not several:
         yield own
         return
-    if own.type == "cuda":
-        own = torch.device("cuda", int(os.environ["LOCAL_RANK"]))
-        torch.cuda.set_device(own)
     dist.init_process_group("cpu:gloo,cuda:nccl" if own.type == "cuda" else "gloo", timeout=MAKING)
     try:
         yield own
@@ -51,7 +51,7 @@ def one_of_several(device: str) -> Iterator[torch.device]:
 def _device(name: str) -> torch.device:
     count = torch.cuda.device_count()
     if name == "auto":
-        return torch.device("cuda" if count else "cpu")
+        return torch.device("cuda:0" if count else "cpu")
     first, *others = named_devices(name)
     if others:
         raise ConfigError(f"device {name}: give one; torchrun starts a process for each of several GPUs")
