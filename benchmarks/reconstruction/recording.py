@@ -20,7 +20,7 @@ def recorded(model: nn.Module, losses_of: Callable[[Any], Tensor], batch: Any) -
     ``batch``: a dataclass of tensors; its other fields are the same in all batches.
     """
     held = replace(batch, **{name: value.clone() for name, value in tensors_of(batch).items()})
-    aside = torch.cuda.Stream()
+    aside = torch.cuda.Stream()  # type: ignore[no-untyped-call]
     aside.wait_stream(torch.cuda.current_stream())
     with torch.cuda.stream(aside):
         for _ in range(WARM_UP):
