@@ -145,10 +145,14 @@ class GarmentSet:
         ragged = {name: Ragged.join([part.ragged[name] for part in parts]) for name in parts[0].ragged}
         return replace(parts[0], **columns, ragged=ragged)
 
+    def pattern_hash(self, first: int = 0, step: int = 1) -> PatternHash:
+        """Hash (``gcd_dataset.patternhash``) of the patterns, numbers ``first``, ``first + step`` … of a set."""
+        return PatternHash.of((first + step * k, _tensor(self.arrays(k))) for k in range(len(self)))
+
     @cached_property
     def patterns_hash(self) -> str:
-        """Hash of the patterns in their order, the same on every machine (``gcd_dataset.patternhash``)."""
-        return PatternHash.of((k, _tensor(self.arrays(k))) for k in range(len(self))).text
+        """Hash of the patterns in their order, the same on every machine."""
+        return self.pattern_hash().text
 
     @property
     def ids_hash(self) -> str:
@@ -218,9 +222,12 @@ def generated(
     extra: Sequence[str] = (),
     cache: Path | None = None,
     workers: int = 0,
+    share: tuple[int, int] = (0, 1),
     **options: Any,
 ) -> GarmentSet:
     """Garments 0 … ``count`` - 1 of a seed, without those whose drape did not settle.
+
+    ``share``: (r, n) keeps number r, r + n … of these alone.
 
     ``extra``: further item fields, and names of ``DERIVED``. ``cache``: a folder that keeps the set in files of
     ``PORTION`` garments: a stopped call continues after the last of them, and a smaller set reads the first files only.
@@ -235,20 +242,29 @@ def generated(
     recipe = {"seed": seed, "recipe": told["recipe"], "version": told["versions"]["gcd_dataset"]}
     recipe |= {"points": points, "fields": sorted(names)}
     folder = None if cache is None else make_folder(cache / f"generated-{_digest(recipe)}")
-    parts = [] if folder is None else list(_kept(folder, count))
-    made = _end(parts)
-    if made < count:
+
+    def portions() -> Iterator[GarmentSet]:
+        made = 0
+        for portion in () if folder is None else _kept(folder, count):
+            made = int(portion.recipe["made"])
+            yield portion
         following = stream.encoded(whole.select(range(made, count)), _itself, first=made)
-        for end, portion in _portions(following, made, count):
+        for end, portion in _portions(following, made, count) if made < count else ():
             one = replace(portion, recipe={**recipe, "made": end})
             if folder is not None:
-                one.save(_file_of(folder, _end(parts)))
-            parts.append(one)
-    if not parts:
+                one.save(_file_of(folder, made))
+            made = end
+            yield one
+
+    parts, held = list[GarmentSet](), 0
+    for portion in portions():
+        wanted = np.array([int(key.rsplit("_", 1)[1]) < count for key in portion.keys])
+        rows = np.flatnonzero(wanted)[(share[0] - held) % share[1] :: share[1]]
+        parts.append(portion if len(rows) == len(portion) else portion.select(rows))
+        held += int(wanted.sum())
+    if not held:
         raise ConfigError(f"{whole!r}: no garment that settled: give another data set")
-    found = replace(GarmentSet.join(parts), recipe=parts[-1].recipe)
-    wanted = [k for k, key in enumerate(found.keys) if int(key.rsplit("_", 1)[1]) < count]
-    return found.select(wanted) if len(wanted) < len(found) else found
+    return replace(GarmentSet.join(parts), recipe=parts[-1].recipe)
 
 
 def _kept(folder: Path, count: int) -> Iterator[GarmentSet]:
@@ -258,11 +274,6 @@ def _kept(folder: Path, count: int) -> Iterator[GarmentSet]:
         portion = GarmentSet.load(path)
         yield portion
         made = int(portion.recipe["made"])
-
-
-def _end(portions: Sequence[GarmentSet]) -> int:
-    """Index after the last garment of the portions."""
-    return int(portions[-1].recipe["made"]) if portions else 0
 
 
 def _file_of(folder: Path, first: int) -> Path:
@@ -478,9 +489,9 @@ class Split:
             test=self.test.select([k for k, name in enumerate(self.test.kinds) if name == kind]),
         )
 
-    def first(self, count: int) -> "Split":
-        """The split with the first ``count`` training garments."""
-        return replace(self, train=self.train.select(range(min(count, len(self.train)))))
+    def first(self, count: int, first: int = 0, step: int = 1) -> "Split":
+        """The split with the first ``count`` training garments, or numbers ``first``, ``first + step`` … of these."""
+        return replace(self, train=self.train.select(range(first, min(count, len(self.train)), step)))
 
 
 def split_off(garments: GarmentSet, designs: int, *, checked: int = 32, seed: int = 0) -> Split:

@@ -1,26 +1,19 @@
-"""A network from two pictures of a garment to the set of its panels.
+"""From pictures of a garment to tokens.
 
 Convolutions turn each picture into a grid of tokens (Xiao et al., Early Convolutions Help Transformers See Better,
-NeurIPS 2021); a transformer relates the tokens of all pictures; the decoder and the loss are those of the network for
-points (``models/panel_set``). The network knows which picture shows the front, but no camera.
+NeurIPS 2021); a transformer relates the tokens of all pictures. No camera is known.
 
 Besides, each token says what the pixels of its cell show, and where one panel borders on another. Without this loss a
 network to which all pictures were new predicted the same panels for every picture.
 """
 
-from dataclasses import dataclass, replace
-from typing import Generic, Protocol, Self, TypeVar
-
-import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURES, SHOWN_CLASSES
-from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.derived import FIRST_PANEL, SHOWN_CLASSES
 from benchmarks.reconstruction.learners import uploaded
-from benchmarks.reconstruction.panel_net import NetConfig, PanelDecoder
 from benchmarks.reconstruction.point_net import EncoderConfig, encoder, some_of
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.tensors import PANEL_LABELS
@@ -101,15 +94,6 @@ class PictureTokens(nn.Module):
         return (cells + self.place + self.view[:, None, None]).flatten(1, 3)
 
 
-class PictureNet(PictureTokens):
-    """Pictures to tokens, and a decoder of tokens."""
-
-    def __init__(self, config: NetConfig, *, views: int, size: int, seen: int = 0) -> None:
-        super().__init__(config, views=views, size=size, seen=seen)
-        self.config = config
-        self.decoder = PanelDecoder(config)
-
-
 def _by_part(pixels: Int[Tensor, "b n h w"], rows: Int[Tensor, "b t"] | None) -> Int[Tensor, "b t p c"]:
     """The pixels of each part of the cells ``rows``."""
     side = STRIDE // PARTS
@@ -130,52 +114,6 @@ def _borders(panels: Int[Tensor, "b n h w"]) -> Int[Tensor, "b n h w"]:
 def _halved(channels: int, width: int) -> list[nn.Module]:
     """A layer that halves the picture."""
     return [nn.Conv2d(channels, width, 3, stride=2, padding=1, bias=False), nn.GroupNorm(GROUPS, width), nn.GELU()]
-
-
-# --------------------------------------------------------------------------------------------------------- the examples
-
-
-class ShownGarments(Protocol):
-    """Garments with their pictures; a frozen dataclass."""
-
-    @property
-    def pictures(self) -> UInt8[Tensor, "b n h w 3"]:
-        """sRGB"""
-
-    @property
-    def shown(self) -> UInt8[Tensor, "b n h w"]:
-        """``pixel_labels`` of the pictures."""
-
-    @property
-    def device(self) -> torch.device: ...
-
-    def __len__(self) -> int: ...
-
-    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Self: ...
-
-
-Shown = TypeVar("Shown", bound=ShownGarments)
-
-
-@dataclass(frozen=True)
-class DrawnPictures(Generic[Shown]):
-    """Examples with a new choice, order and distortion of their pictures in each step."""
-
-    whole: Shown
-    views: int
-
-    def __len__(self) -> int:
-        return len(self.whole)
-
-    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Shown:
-        found = self.whole.batch(rows)
-        if chance is None:
-            return replace(found, pictures=found.pictures[:, : self.views], shown=found.shown[:, : self.views])  # type: ignore[type-var]
-        chosen = torch.randperm(found.pictures.shape[1], generator=chance)[: self.views]
-        numbers = torch.rand(len(self), len(chosen), NUMBERS, generator=chance)[rows]
-        chosen = uploaded(chosen, found.device)
-        pictures, shown = distorted(found.pictures[:, chosen], found.shown[:, chosen], 2 * numbers - 1)
-        return replace(found, pictures=pictures, shown=shown)  # type: ignore[type-var]
 
 
 def distorted(
@@ -199,18 +137,3 @@ def distorted(
         shown.flatten(0, 1)[:, None].float(), grid, mode="nearest", padding_mode="border", align_corners=False
     )
     return found.permute(0, 2, 3, 1).reshape(pictures.shape), labels.to(torch.uint8).reshape(shown.shape)
-
-
-def pictures_of(garments: GarmentSet) -> dict[str, Tensor]:
-    """The stored ``pictures`` of all garments, and what they have ``shown``."""
-    names = ("pictures", "shown")
-    return {
-        name: torch.from_numpy(np.stack([garments.ragged[name][k] for k in range(len(garments))])) for name in names
-    }
-
-
-def require_views(views: int) -> int:
-    """The number of pictures that a network sees. Raises ``ConfigError`` for one that garments do not have."""
-    if not 1 <= views <= PICTURES:
-        raise ConfigError(f"views {views}: give 1 to {PICTURES}")
-    return views

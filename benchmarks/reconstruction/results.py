@@ -9,9 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.reconstruction.models import MODELS, load_model
-from benchmarks.reconstruction.models.stitches import StitchConfig
-from benchmarks.reconstruction.stitching import run as stitching
+from benchmarks.reconstruction.models import MODELS, load_model, stitches
+from benchmarks.reconstruction.stitching.net import StitchConfig
 from benchmarks.reconstruction.tasks import task_named
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
@@ -212,7 +211,7 @@ def _usual_of(model: str) -> dict[str, Any]:
 def _usual_of_stitches() -> dict[str, Any]:
     """The usual options of T3, besides its length."""
     sizes = {name: getattr(StitchConfig(), name) for name in ("foreign", "width", "heads", "layers", "pair_width")}
-    return {**sizes, **{name: stitching.USUAL[name] for name in ("batch", "lr")}, "seed": 0}
+    return {**sizes, **{name: stitches.USUAL[name] for name in ("batch", "lr")}, "seed": 0}
 
 
 def _checked(entry: Entry, path: Path) -> Entry:

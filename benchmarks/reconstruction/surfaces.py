@@ -77,22 +77,6 @@ def surface_of(
     )
 
 
-def cloud_of(points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], *, clusters: int) -> SurfaceArrays:
-    """Points [cm] without a mesh: neighbours are among the nearest of each other, 8.5 of 10 on a plane."""
-    distances, nearest = cKDTree(points).query(points, k=NEIGHBOURS + 1)
-    pairs = np.stack([np.repeat(np.arange(len(points)), NEIGHBOURS), nearest[:, 1:].ravel()], axis=1)
-    table, reverse, along = _mutual(nearest[:, 1:], (distances[:, 1:] / METRE).astype(np.float32))
-    return SurfaceArrays(
-        positions=((points - CENTRE) / METRE).astype(np.float32),
-        normals=normals.astype(np.float32),
-        neighbours=table,
-        reverse=reverse,
-        lengths=along,
-        shape=np.zeros((len(points), SHAPE), np.float32),
-        clusters=_clusters(points, pairs, distances[:, 1:].ravel() + 1e-6, clusters),
-    )
-
-
 def vertex_normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "v 3"]:
     """Unit normals, weighted by area; 0 for a vertex without faces."""
     corner = np.asarray(vertices, np.float64)[faces]

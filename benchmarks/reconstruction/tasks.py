@@ -75,6 +75,11 @@ class ReconstructionTask:
         """Last stage of the garments: ``pattern``, ``mesh`` or ``drape``."""
         return "drape" if self.options.get("drape") else str(self.options.get("stage", "mesh"))
 
+    @property
+    def lower_is_better(self) -> bool:
+        """Whether the headline is an error."""
+        return self.headline.startswith("error")
+
     def load(
         self,
         count: int,
@@ -83,23 +88,28 @@ class ReconstructionTask:
         workers: int = 0,
         tested: int = 0,
         checked: int = 0,
+        share: tuple[int, int] = (0, 1),
         **changes: Any,
     ) -> Split:
         """The garments; ``data``: folder that caches them. ``tested``, ``checked``: garments that test and that watch
-        a training, 0 for the usual number. ``changes``: other ``options``, for tests."""
+        a training, 0 for the usual number. ``share``: (r, n) for the training garments r, r + n … alone. ``changes``:
+        other ``options``."""
         make = self._making(data, workers, changes)
         return Split(
-            train=generated(count, TRAIN_SEED, **make),
+            train=generated(count, TRAIN_SEED, share=share, **make),
             check=generated(checked or min(CHECKED, count), CHECK_SEED, **make),
             test=generated(tested or self.tested, TEST_SEED, **make),
         )
 
-    def validation(self, *, data: Path | None = None, workers: int = 0, **changes: Any) -> GarmentSet:
-        """The garments on which weights, options and records are chosen; arguments as in ``load``."""
+    def validation(self, most: int, *, data: Path | None = None, workers: int = 0, **changes: Any) -> GarmentSet:
+        """The garments on which weights, options and records are chosen, at most ``most`` of each part.
+
+        Other arguments as in ``load``.
+        """
         make = self._making(data, workers, changes)
         return GarmentSet.join(
             [
-                generated(count, seed, **(make | ({"design": design} if design else {})))
+                generated(min(count, most), seed, **(make | ({"design": design} if design else {})))
                 for seed, count, design in VALIDATION
             ]
         )
@@ -109,13 +119,22 @@ class ReconstructionTask:
         options = {**self.options, **changes}
         return {"points": self.points, "extra": self.extra, "cache": data, "workers": workers, **options}
 
-    def read(self, source: str, count: int, *, workers: int = 0, tested: int = 0) -> Split:
-        """The garments of a folder or repository, split by design and body; ``count`` to train on.
+    def read(
+        self,
+        source: str,
+        count: int,
+        *,
+        workers: int = 0,
+        tested: int = 0,
+        checked: int = 0,
+        share: tuple[int, int] = (0, 1),
+    ) -> Split:
+        """The garments of a folder or repository, split by design and body; ``count`` to train on, or their ``share``.
 
         Raises ``ConfigError`` for garments of another stage.
         """
         whole = read_folder(source, points=self.points, extra=self.extra, workers=workers, stage=self.stage)
-        return split_off(whole, tested or self.tested).first(count)
+        return split_off(whole, tested or self.tested, checked=checked or CHECKED).first(count, *share)
 
 
 TASKS = {

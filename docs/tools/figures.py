@@ -304,8 +304,8 @@ FIGURES = (
             f"{_of_seams(r, 'freesewing_whole')} of 90, F1 {_of_seams(r, 'freesewing_f1')}"
         ),
         on="NVIDIA H100",
-        command="python -m benchmarks.reconstruction.stitching.run --foreign 0.1 --train 24000 --minutes 8 "
-        "--checks 2 --compile --out OUT",
+        command="python -m benchmarks.reconstruction.train --model stitches --task T3 --set foreign=0.1 --train 24000 "
+        "--minutes 8 --checks 2 --compile --out OUT",
     ),
     Figure(
         "patterns from points of unseen drapes: a network, 7 minutes on 40,000 garments, one training",
@@ -320,15 +320,8 @@ FIGURES = (
             + f"; `nearest`, untrained, {_values_of_patterns(r, 'nearest')}"
         ),
         on="NVIDIA H100",
-        command="python -m benchmarks.reconstruction.train parameters --task T1 --set augmented=1 labelled=1 seen=0 "
-        "--train 40000 --minutes 7 --compile --drape",
-        short=True,
-    ),
-    Figure(
-        "panels from two rendered pictures with prints, cloth, people, lights and places unlike those of the training",
-        "pictures_matter",
-        lambda r: f"IoU {r.value('pictures_matter.drawn_on_held_out_iou'):.2f} if trained on varied renders",
-        lambda r: f"plain renders, a colour a panel: {r.value('pictures_matter.plain_on_held_out_iou'):.2f}",
+        command="python -m benchmarks.reconstruction.train --model parameters --task T1 --set augmented=1 labelled=1 "
+        "seen=0 --train 40000 --minutes 7 --compile --drape",
         short=True,
     ),
     Figure(

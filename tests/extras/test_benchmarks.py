@@ -15,43 +15,30 @@ import pytest
 
 from benchmarks.cloth_tests import drape_coefficient
 from benchmarks.draping.workload import is_clean, reference_sampled
-from benchmarks.reconstruction import garments, train
+from benchmarks.reconstruction import garments, runs, train
 from benchmarks.reconstruction.derived import picture_views
 from benchmarks.reconstruction.garments import GarmentSet, fresh_garments, generated
-from benchmarks.reconstruction.picture_inputs import Input
-from benchmarks.reconstruction.picture_training import load, pool_of
-from benchmarks.reconstruction.picture_training import train as train_on_pictures
-from benchmarks.reconstruction.plan import read_plan
 from benchmarks.reconstruction.train import UNFINISHED, main
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import FABRICS, drape_batch
 from gcd_dataset.records import Body, EdgeRole, Measurements
 from tests.benchmarks.reconstruction.conftest import SKIRTS
-from tests.benchmarks.reconstruction.test_leaderboard import PLANS
 from tests.benchmarks.reconstruction.test_train import SMALL
-from tests.benchmarks.test_pictures_matter import options, stored_garments
 from tests.scoring.test_score import save
 from tests.test_metrics import garment
-
-
-@pytest.mark.parametrize("path", PLANS, ids=lambda path: str(path.stem))
-def test_the_networks_of_the_plans_are_built(path: Path) -> None:
-    assert read_plan(path)
 
 
 def test_answers_are_draped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The truth, draped again, is the drape that the points are of; a later call drapes, and drapes once."""
     out = tmp_path / "out"
-    call = ["ceiling", "--task", "T1", *SMALL, "--out", str(out)]
+    call = ["--model", "ceiling", "--task", "T1", *SMALL, "--out", str(out)]
     assert main(call) == 0
     plain = json.loads((out / "report.json").read_text())
-    assert not train.is_draped(plain)
-    monkeypatch.setattr(train, "_answers", Mock(side_effect=AssertionError))
+    monkeypatch.setattr(train, "answered", Mock(side_effect=AssertionError))
     assert main([*call, "--drape"]) == 0
     report = json.loads((out / "report.json").read_text())
     assert report["scores"].items() >= plain["scores"].items()
-    assert train.is_draped(report)
-    monkeypatch.setattr(train, "evaluate", Mock(side_effect=AssertionError))
+    monkeypatch.setattr(runs, "evaluate", Mock(side_effect=AssertionError))
     for flags in ([], ["--drape"]):
         assert main([*call, *flags]) == 0
     assert json.loads((out / "report.json").read_text()) == report
@@ -65,7 +52,7 @@ def test_answers_are_draped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_curves_have_the_losses_of_unseen_garments(tmp_path: Path) -> None:
     """Their terms add up, and a network that learns four garments by heart is worse on others."""
     flags = ["--smoke", "--train", "4", "--test", "2", "--resolution", "6", "--device", "cpu"]
-    assert main(["parameters", *flags, "--steps", "60", "--checks", "1", "--out", str(tmp_path)]) == 0
+    assert main(["--model", "parameters", *flags, "--steps", "60", "--checks", "1", "--out", str(tmp_path)]) == 0
     with (tmp_path / "curves.csv").open() as file:
         last = {name: float(value) for name, value in list(csv.DictReader(file))[-1].items()}
     terms = ("choices", "numbers", "defaults", "measures")
@@ -74,7 +61,7 @@ def test_curves_have_the_losses_of_unseen_garments(tmp_path: Path) -> None:
 
 
 def test_a_signal_ends_the_training_with_a_checkpoint(tmp_path: Path) -> None:
-    flags = ["panel_set", *SMALL, "--minutes", "5", "--batch", "2", "--workers", "0", "--out", str(tmp_path)]
+    flags = ["--model", "panel_set", *SMALL, "--minutes", "5", "--batch", "2", "--workers", "0", "--out", str(tmp_path)]
     given = [sys.executable, "-m", "benchmarks.reconstruction.train", *flags]
     with subprocess.Popen(given, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
@@ -89,7 +76,7 @@ def test_a_signal_ends_the_training_with_a_checkpoint(tmp_path: Path) -> None:
 def test_fresh_garments_are_learned_from(tmp_path: Path) -> None:
     flags = ["--smoke", "--train", "4", "--test", "2", "--steps", "16", "--batch", "2", "--fresh", "32"]
     flags += ["--resolution", "8", "--device", "cpu"]
-    assert main(["panel_set", *flags, "--out", str(tmp_path / "out")]) == 0
+    assert main(["--model", "panel_set", *flags, "--out", str(tmp_path / "out")]) == 0
     assert json.loads((tmp_path / "out" / "report.json").read_text())["fresh"] > 0
 
 
@@ -113,15 +100,6 @@ def test_pictures_of_this_process_are_those_of_the_workers(monkeypatch: pytest.M
     for found in (rendered_here, GarmentSet.join(streamed)):
         assert found.keys == rendered_by_workers.keys
         assert np.array_equal(found.ragged["pictures"].rows, rendered_by_workers.ragged["pictures"].rows)
-
-
-def test_a_network_learns_from_plain_pictures(tmp_path: Path) -> None:
-    folder = stored_garments(tmp_path)
-    args = options(folder, steps=40, size=32)
-    data = load(folder, args)
-    with pool_of(Input.PLAIN, data, args) as pool:
-        losses = [row["loss"] for row in train_on_pictures(pool, data, args.steps, args)[1]]
-    assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
 
 
 def test_a_reader_of_the_scores_exits_early(tmp_path: Path) -> None:

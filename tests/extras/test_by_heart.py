@@ -8,12 +8,14 @@ import torch
 
 from benchmarks.reconstruction.garments import GarmentSet, generated, pattern_of
 from benchmarks.reconstruction.models import load_model, stitches
-from benchmarks.reconstruction.models.stitches import StitchConfig, StitchLearner
+from benchmarks.reconstruction.models.stitches import StitchLearner
+from benchmarks.reconstruction.options import Config
 from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
+from benchmarks.reconstruction.stitching.net import StitchConfig
 from benchmarks.reconstruction.stitching.scores import score_stitches
 from benchmarks.reconstruction.stitching.sewing import sew
 from benchmarks.reconstruction.tasks import NAMED
-from benchmarks.reconstruction.training import TrainConfig, train
+from benchmarks.reconstruction.train import train
 from gcd_dataset.loaders import GeneratedGarments
 from gcd_dataset.metrics import mean_scores, score_pattern
 from tests.benchmarks.reconstruction.conftest import SKIRTS
@@ -42,9 +44,9 @@ def test_the_patterns_of_a_few_garments(model: str, count: int, config: dict[str
     torch.manual_seed(0)
     torch.set_num_threads(1)
     module, garments = load_model(model), garments_of(count)
-    learner = module.build(smoke=True, options={})
+    learner = module.build(module.SMALL)
     examples = learner.prepare(garments, device=CPU)
-    trained = train(learner, examples, TrainConfig(**{**module.SMOKE, "batch": count, **config}), device=CPU)
+    trained = train(learner, examples, Config(**{**module.SMOKE, "batch": count, **config}), device=CPU)
     assert trained.curve[-1]["loss"] < trained.curve[0]["loss"] / 4
     answers = trained.learner.predict(examples.batch(torch.arange(count)))
     score = mean_scores([score_pattern(answer, garments.pattern(k)) for k, answer in enumerate(answers)])
@@ -66,7 +68,7 @@ def test_all_stitches_of_four_patterns(monkeypatch: pytest.MonkeyPatch) -> None:
     arrays = [entry for entry in drawn if len(entry[1]) <= MOST_EDGES][:COUNT]
     torch.manual_seed(0)
     learner = StitchLearner(StitchConfig(width=64, heads=4, layers=3, pair_width=32))
-    config = TrainConfig(steps=700, batch=COUNT, lr=1.5e-3, ema=0.98)
+    config = Config(steps=700, batch=COUNT, lr=1.5e-3, ema=0.98)
     trained = train(learner, learner.examples(arrays, device=CPU), config, device=CPU).learner
     assert isinstance(trained, StitchLearner)
     for k, pattern in enumerate(sew(trained.net, [pattern_of(entry) for entry in arrays])):

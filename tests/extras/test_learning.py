@@ -15,10 +15,10 @@ from benchmarks.cases import parity
 from benchmarks.cloth_tests import drape_coefficient
 from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.garments import GarmentSet, generated
-from benchmarks.reconstruction.models import load_model, panel_set
-from benchmarks.reconstruction.picture_inputs import Input, rendering
+from benchmarks.reconstruction.models import panel_set
+from benchmarks.reconstruction.options import Config
 from benchmarks.reconstruction.tasks import NAMED
-from benchmarks.reconstruction.training import TrainConfig, train
+from benchmarks.reconstruction.train import train
 from gcd_dataset.cli import main as gcd
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.drape import Fabric
@@ -27,7 +27,7 @@ from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.tensors import PANEL_LABELS
 from tests.benchmarks.reconstruction.conftest import SKIRTS
 from tests.benchmarks.reconstruction.test_networks import SIZES, network
-from tests.benchmarks.test_pictures_matter import stored_garments
+from tests.benchmarks.reconstruction.toys import small
 from tests.scoring.test_score import figures, save
 
 CPU = torch.device("cpu")
@@ -45,14 +45,13 @@ def skirts() -> GarmentSet:
     ("model", "options"),
     [
         ("parameters", {**FEW, "labelled": 1}),
-        ("picture_set", {"views": 1}),
         ("picture_parameters", {"views": 1}),
     ],
 )
 def test_the_loss_falls(model: str, options: dict[str, int], skirts: GarmentSet) -> None:
     torch.manual_seed(0)
-    learner = load_model(model).build(smoke=True, options=options)
-    config = TrainConfig(steps=30, batch=3, lr=4e-3, log_every=5, weight_decay=0.0)
+    learner = small(model, **options)
+    config = Config(steps=30, batch=3, lr=4e-3, log_every=5, weight_decay=0.0)
     curve = train(learner, learner.prepare(skirts, device=CPU), config, device=CPU).curve
     assert curve[-1]["loss"] < 0.9 * curve[0]["loss"]
 
@@ -79,11 +78,11 @@ def test_garments_are_seen_in_drawn_pictures() -> None:
     assert not np.array_equal(pictures[0], pictures[1])
 
 
-@pytest.mark.parametrize("model", ["panel_set", "picture_set"])
+@pytest.mark.parametrize("model", ["panel_set", "picture_parameters"])
 def test_processes_encode_the_same_targets(model: str, skirts: GarmentSet) -> None:
-    learner = load_model(model).build(smoke=True, options={})
-    one, two = (learner.prepare(skirts, device=CPU, workers=workers).whole for workers in (0, 2))
-    assert all(torch.equal(value, getattr(two, name)) for name, value in vars(one).items())
+    learner = small(model)
+    one, two = (vars(learner.prepare(skirts, device=CPU, workers=workers))["whole"] for workers in (0, 2))
+    torch.testing.assert_close(vars(one), vars(two), rtol=0, atol=0, equal_nan=True)
 
 
 def test_drapes_that_workers_make_ahead_are_the_same_set() -> None:
@@ -93,16 +92,6 @@ def test_drapes_that_workers_make_ahead_are_the_same_set() -> None:
     assert ahead.patterns_hash == alone.patterns_hash
     assert np.array_equal(ahead.points, alone.points)
     assert all(np.array_equal(ahead.ragged["verts"][k], alone.ragged["verts"][k]) for k in range(len(alone)))
-
-
-def test_processes_render_the_same_pictures_as_a_thread(tmp_path: Path) -> None:
-    folder, by_count = str(stored_garments(tmp_path)), []
-    for processes in (1, 2):
-        options: dict[str, Any] = {"seed": 0, "size": 16, "device": "cpu", "processes": processes, "readings": 1}
-        with rendering(folder, range(3), [Input.DRAWN], **options) as batches:
-            by_count.append({k: p for b in batches for k, p in zip(b.positions.tolist(), b.pictures, strict=True)})
-    assert set(by_count[0]) == set(by_count[1]) == {0, 1, 2}
-    assert all((by_count[0][k] == by_count[1][k]).all() for k in range(3))
 
 
 def test_the_drape_coefficient_of_a_rigid_disc_is_100() -> None:

@@ -12,12 +12,12 @@ import torch
 
 from benchmarks.reconstruction.garments import GarmentSet, generated
 from benchmarks.reconstruction.judging import judge_of
-from benchmarks.reconstruction.learners import Learner
 from benchmarks.reconstruction.models import load_model
+from benchmarks.reconstruction.options import Config
 from benchmarks.reconstruction.tasks import SURFACES, task_named
-from benchmarks.reconstruction.train import main
-from benchmarks.reconstruction.training import TrainConfig, train
+from benchmarks.reconstruction.train import main, train
 from tests.benchmarks.reconstruction.conftest import SKIRTS
+from tests.benchmarks.reconstruction.toys import small
 
 CPU = torch.device("cpu")
 
@@ -32,9 +32,9 @@ def by_heart(model: str, steps: int, **options: Any) -> tuple[list[Any], list[di
     torch.manual_seed(0)
     torch.set_num_threads(1)
     module, garments = load_model(model), skirts()
-    learner: Learner[Any, Any] = module.build(smoke=True, options=options)
+    learner = small(model, **options)
     examples = learner.prepare(garments, device=CPU)
-    config = TrainConfig(**{**module.SMOKE, "steps": steps, "batch": 4, "log_every": 1})
+    config = Config(**{**module.SMOKE, "steps": steps, "batch": 4, "log_every": 1})
     trained = train(learner, examples, config, device=CPU)
     answers = trained.learner.predict(examples.batch(torch.arange(len(garments))))
     return judge_of(task_named(module.TASKS[0]), watching=True).scores(answers, garments), trained.curve
@@ -77,7 +77,7 @@ def test_the_command_trains_and_scores(
 ) -> None:
     out, data = tmp_path_factory.mktemp(model), tmp_path_factory.getbasetemp() / "garments"
     flags = ["--task", task, "--smoke", "--train", "4", "--test", "2", "--resolution", "8", "--steps", "3"]
-    assert main([model, *flags, "--device", "cpu", "--data", str(data), "--out", str(out)]) == 0
+    assert main(["--model", model, *flags, "--device", "cpu", "--data", str(data), "--out", str(out)]) == 0
     assert f"{task}.{model}.{headline} " in capsys.readouterr().out
     report = json.loads((out / "report.json").read_text())
     with (out / "scores.csv").open() as file:

@@ -7,38 +7,30 @@ vertices.
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from benchmarks.reconstruction.derived import CENTRE, MIRRORED_EDGES
+from benchmarks.reconstruction.derived import CENTRE
+from benchmarks.reconstruction.draped_surfaces import GIVEN, DrapeBatch, DrapedSurfaces
 from benchmarks.reconstruction.drapes import DrapedVertices
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner, sizes_from, squared_distances
 from benchmarks.reconstruction.surface_net import FREQUENCIES, SurfaceNet, SurfaceNetConfig, mlp, of_neighbours, waves
 from benchmarks.reconstruction.surfaces import (
     METRE,
-    SurfaceArrays,
     SurfaceBatch,
-    SurfaceStore,
-    drawn_turn,
-    surface_of,
 )
-from benchmarks.reconstruction.wearers import body_points
-from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, PanelColumn
-from gcd_dataset.workers import parallel_map
 
 TASKS = ("T6",)
 WEIGHTS = {"first": 0.5, "positions": 1.0, "edges": 0.3, "body": 0.5}
 UNIT = 0.1  # metres: a distance that costs 1
 SKIN = 0.003  # metres: cloth nearer to the body costs
 SEEN = 5.0  # scales distances to the body to about 1
-GIVEN = len(EDGE_LABELS) + len(PANEL_LABELS) + 1
 NEAR = 7  # numbers about the nearest point of the body
 SHARED = 32  # features of the first network that the second sees
 USUAL: Mapping[str, Any] = {"batch": 16, "lr": 5e-4, "ema": 0.998}
@@ -50,19 +42,6 @@ SMALL: Mapping[str, Any] = {
     "width": 48, "rounds": 1, "tokens": 48, "token_width": 64, "heads": 4, "layers": 1, "body": 256, "body_tokens": 32,
 }  # fmt: skip
 """Options of the smallest training, for two CPU cores, and the sizes of its network."""
-
-
-@dataclass(frozen=True)
-class DrapeBatch:
-    """Box meshes with their bodies and drapes."""
-
-    surface: SurfaceBatch
-    given: Float[Tensor, "v g"]
-    """Edge labels, panel labels, whether on a seam."""
-    body: Float[Tensor, "b n 6"]
-    """Points of the skin [m] and normals, spread evenly: any first part is, too."""
-    draped: Float[Tensor, "v 3"]
-    """[m]"""
 
 
 class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
@@ -156,14 +135,14 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
         return first, second
 
 
-def build(*, smoke: bool, options: Mapping[str, Any]) -> DrapeSurrogate:
-    """The learner; ``options``: fields of ``SurfaceNetConfig``, ``body``, ``body_tokens`` and ``second_rounds``.
+def build(config: Mapping[str, Any]) -> DrapeSurrogate:
+    """The learner; ``config``: fields of ``SurfaceNetConfig``, ``body``, ``body_tokens`` and ``second_rounds``.
 
     Raises ``ConfigError`` for others.
     """
-    given, own = {**(SMALL if smoke else {}), **options}, ("body", "body_tokens", "second_rounds")
+    own = ("body", "body_tokens", "second_rounds")
     least = {"convolutions": 0, "layers": 0, "body_tokens": 0}
-    sizes, arguments = sizes_from("drape_surrogate", SurfaceNetConfig, given, own=own, least=least)
+    sizes, arguments = sizes_from("drape_surrogate", SurfaceNetConfig, config, own=own, least=least)
     return DrapeSurrogate(sizes, **arguments)
 
 
@@ -212,67 +191,3 @@ def depth(positions: Float[Tensor, "v 3"], surface: SurfaceBatch, body: Float[Te
     found = body.flatten(0, 1)[nearest_rows(positions.detach(), surface, body)]
     height = ((positions - found[:, :3]) * found[:, 3:]).sum(dim=-1)
     return (SKIN - height).clamp(min=0)
-
-
-# --------------------------------------------------------------------------------------------------------- the examples
-
-
-class DrapedSurfaces:
-    """Box meshes, bodies and drapes on a device; batches are turned and mirrored at random."""
-
-    def __init__(self, garments: GarmentSet, *, tokens: int, body: int, device: torch.device, workers: int = 0) -> None:
-        meshes = (_mesh_of(garments, k) for k in range(len(garments)))
-        surfaces = list(parallel_map(partial(_prepared, tokens), meshes, workers))
-        self.store = SurfaceStore(surfaces, tokens=tokens, device=device)
-        labels = np.concatenate([_given(garments, k) for k in range(len(garments))])
-        self._given = torch.from_numpy(labels).to(device)
-        drapes = [(garments.ragged["verts"][k] - CENTRE) / METRE for k in range(len(garments))]
-        self._draped = torch.from_numpy(np.concatenate(drapes).astype(np.float32)).to(device)
-        self._body = torch.from_numpy(np.stack(body_points(garments, body, workers=workers))).to(device)
-
-    def __len__(self) -> int:
-        return len(self.store)
-
-    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> DrapeBatch:
-        """The garments ``rows``."""
-        surface, chosen = self.store.batch(rows)
-        batch = DrapeBatch(
-            surface, self._given[chosen].float(), self._body[rows.to(chosen.device)], self._draped[chosen]
-        )
-        if chance is None:
-            return batch
-        turn = drawn_turn(rows, len(self), chance, chosen.device, growth=0.0, jitter=0.0)
-        given = batch.given.clone()
-        labels = given[:, : len(EDGE_LABELS)]
-        swapped = turn.mirrored[surface.garments, None]
-        given[:, : len(EDGE_LABELS)] = torch.where(swapped, labels[:, MIRRORED_EDGES], labels)
-        body = torch.cat([part @ turn.matrices.transpose(1, 2) for part in torch.split(batch.body, 3, dim=-1)], dim=-1)
-        draped = (turn.matrices[surface.garments] @ batch.draped[..., None])[..., 0]
-        return DrapeBatch(turn.of(surface), given, body, draped)
-
-
-def _mesh_of(garments: GarmentSet, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Box mesh, faces, and the flat length of the edge after each corner of each face [cm]."""
-    ragged = garments.ragged
-    flat = ragged["uv"][k].astype(float)[ragged["corners"][k]]
-    lengths = np.linalg.norm(flat[:, [1, 2, 0]] - flat, axis=-1)
-    return ragged["box"][k], ragged["faces"][k], lengths
-
-
-def _prepared(tokens: int, mesh: tuple[np.ndarray, np.ndarray, np.ndarray]) -> SurfaceArrays:
-    vertices, faces, lengths = mesh
-    return surface_of(vertices, faces, clusters=tokens, lengths=lengths)
-
-
-def _given(garments: GarmentSet, k: int) -> Bool[np.ndarray, "v g"]:
-    """Edge labels, labels of the panels, and whether on a seam, for each vertex."""
-    ragged = garments.ragged
-    found = np.zeros((len(ragged["box"][k]), GIVEN), bool)
-    labels = ragged["labels"][k]
-    labels = labels[labels[:, 1] < len(EDGE_LABELS)]
-    found[labels[:, 0], labels[:, 1]] = True
-    roles = ragged["panels"][k][:, PanelColumn.LABEL].astype(int)
-    roles = np.where(roles < len(PANEL_LABELS), roles, 0)
-    found[ragged["faces"][k].ravel(), len(EDGE_LABELS) + np.repeat(roles[ragged["panel_id"][k]], 3)] = True
-    found[ragged["seams"][k][:, 0], -1] = True
-    return found

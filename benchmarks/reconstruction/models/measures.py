@@ -159,10 +159,9 @@ class MeasureNet(Learner[Scans, np.ndarray]):
         return said
 
 
-def build(*, smoke: bool, options: Mapping[str, Any]) -> MeasureNet:
-    """The learner; ``options``: fields of ``MeasureConfig``. Raises ``ConfigError`` for others."""
-    given, heads = {**(SMALL if smoke else {}), **options}, {"width": "heads"}
-    sizes, _ = sizes_from("measures", MeasureConfig, given, least={"augmented": 0}, heads=heads)
+def build(config: Mapping[str, Any]) -> MeasureNet:
+    """The learner; ``config``: fields of ``MeasureConfig``. Raises ``ConfigError`` for others."""
+    sizes, _ = sizes_from("measures", MeasureConfig, config, least={"augmented": 0}, heads={"width": "heads"})
     return MeasureNet(sizes)
 
 

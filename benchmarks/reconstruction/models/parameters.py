@@ -234,9 +234,8 @@ def label_losses(said: Float[Tensor, "b t o"], labels: Float[Tensor, "b t m 3"])
     }
 
 
-def build(*, smoke: bool, options: Mapping[str, Any]) -> ParameterNet:
-    """The learner; ``options``: fields of ``ParametersConfig``. Raises ``ConfigError`` for others."""
-    given, heads = {**(SMALL if smoke else {}), **options}, {"width": "heads"}
+def build(config: Mapping[str, Any]) -> ParameterNet:
+    """The learner; ``config``: fields of ``ParametersConfig``. Raises ``ConfigError`` for others."""
     least = dict.fromkeys(("seen", "augmented", "labelled"), 0)
-    sizes, _ = sizes_from("parameters", ParametersConfig, given, least=least, heads=heads)
+    sizes, _ = sizes_from("parameters", ParametersConfig, config, least=least, heads={"width": "heads"})
     return ParameterNet(sizes)

@@ -1,6 +1,6 @@
 """From pictures of a garment to design parameters and body measures, from which our own programs draw the answer.
 
-The tokens of the pictures are those of ``picture_set``; ``design_net`` reads designs from them, as in ``parameters``.
+``picture_model`` makes tokens of the pictures; ``design_net`` reads designs from them, as in ``parameters``.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -8,16 +8,18 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
 
+import numpy as np
 import torch
-from jaxtyping import Int, UInt8
+from jaxtyping import Bool, Int, UInt8
 from torch import Tensor
 
 from benchmarks.reconstruction.derived import MIRRORED_PIXELS, PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, encoded_by, sizes_from, uploaded
-from benchmarks.reconstruction.picture_model import DrawnPictures, PictureTokens, pictures_of, require_views
+from benchmarks.reconstruction.picture_model import NUMBERS, PictureTokens, distorted
 from benchmarks.reconstruction.point_net import EncoderConfig
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
@@ -42,17 +44,33 @@ class PictureDesigns(DesignTargets):
 
 
 @dataclass(frozen=True)
-class MirroredPictures(DrawnPictures[PictureDesigns]):
-    """Drawn pictures; training batches mirror all pictures of a random half of the garments, where the mirror image is
-    a garment of the same programs.
+class DrawnPictures:
+    """Examples with a new choice, order and distortion of their pictures in each step.
+
+    With ``augmented``, training batches also mirror all pictures of a random half of the garments, where the mirror
+    image is a garment of the same programs.
     """
 
+    whole: PictureDesigns
+    views: int
+    augmented: bool
+
+    def __len__(self) -> int:
+        return len(self.whole)
+
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> PictureDesigns:
-        found = super().batch(rows, chance)
+        found = self.whole.batch(rows)
         if chance is None:
-            return found
-        drawn_rows = uploaded(torch.rand(len(self), generator=chance)[rows] < 0.5, found.device)
-        chosen = drawn_rows & self._augmentation.can_mirror(found)
+            return replace(found, pictures=found.pictures[:, : self.views], shown=found.shown[:, : self.views])
+        chosen = torch.randperm(found.pictures.shape[1], generator=chance)[: self.views]
+        numbers = 2 * torch.rand(len(self), len(chosen), NUMBERS, generator=chance)[rows] - 1
+        chosen = uploaded(chosen, found.device)
+        pictures, shown = distorted(found.pictures[:, chosen], found.shown[:, chosen], numbers)
+        found = replace(found, pictures=pictures, shown=shown)
+        return self._mirrored(found, torch.rand(len(self), generator=chance)[rows] < 0.5) if self.augmented else found
+
+    def _mirrored(self, found: PictureDesigns, drawn_rows: Bool[Tensor, " b"]) -> PictureDesigns:
+        chosen = uploaded(drawn_rows, found.device) & self._augmentation.can_mirror(found)
         found = self._augmentation.mirrored(found, chosen)
         pictures = torch.where(chosen[:, None, None, None, None], found.pictures.flip(3), found.pictures)
         labels = self._labels[found.shown.flip(3).long()]
@@ -79,17 +97,19 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
         Raises ``ConfigError`` for a number of pictures that garments do not have.
         """
         super().__init__()
-        self.views, self.augmented = require_views(views), bool(augmented)
+        if not 1 <= views <= PICTURES:
+            raise ConfigError(f"views {views}: give 1 to {PICTURES}")
+        self.views, self.augmented = views, bool(augmented)
         self.tokens = PictureTokens(config, views=views, size=PICTURE_SIZE, seen=config.seen)
         self.decoder = DesignDecoder(config.width, heads=config.heads, layers=(config.layers + 1) // 2)
 
-    def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPictures[PictureDesigns]:
+    def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPictures:
         """Pictures and targets. The first set prepared, the training set, gives the range of the measures."""
         self.decoder.learn_range(garments)
         return self.drawn_from(encoded_by(encoded, garments, workers).to(device))
 
-    def drawn_from(self, encoded: TensorExamples) -> DrawnPictures[PictureDesigns]:
-        return (MirroredPictures if self.augmented else DrawnPictures)(cast(PictureDesigns, encoded), self.views)
+    def drawn_from(self, encoded: TensorExamples) -> DrawnPictures:
+        return DrawnPictures(cast(PictureDesigns, encoded), self.views, self.augmented)
 
     def encoder(self) -> Callable[[GarmentSet], PictureDesigns]:
         return encoded
@@ -119,17 +139,27 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
 
 def encoded(garments: GarmentSet) -> PictureDesigns:
     """Pictures and targets of garments with the fields ``design``, ``pictures`` and ``shown``, on a CPU."""
-    return PictureDesigns(**vars(DesignTargets.of(garments)), **pictures_of(garments))
+    pictures, shown = (
+        torch.from_numpy(np.stack([garments.ragged[name][k] for k in range(len(garments))]))
+        for name in ("pictures", "shown")
+    )
+    return PictureDesigns(**vars(DesignTargets.of(garments)), pictures=pictures, shown=shown)
 
 
-def build(*, smoke: bool, options: Mapping[str, Any]) -> PictureParameters:
-    """The learner; ``options``: fields of ``EncoderConfig``, ``views`` and ``augmented``.
+def build(config: Mapping[str, Any]) -> PictureParameters:
+    """The learner; ``config``: fields of ``EncoderConfig``, ``views`` and ``augmented``.
 
     Raises ``ConfigError`` for others.
     """
-    given, own_names = {**(SMALL if smoke else LARGE), **options}, ("views", "augmented")
+    own_names = ("views", "augmented")
     points, least, heads = ("tokens", "region_width"), {"seen": 0}, {"width": "heads"}
     sizes, own = sizes_from(
-        "picture_parameters", EncoderConfig, given, own=own_names, without=points, least=least, heads=heads
+        "picture_parameters",
+        EncoderConfig,
+        {**LARGE, **config},
+        own=own_names,
+        without=points,
+        least=least,
+        heads=heads,
     )
     return PictureParameters(sizes, **own)

@@ -5,35 +5,24 @@ queries attend to the tokens, and each vertex chooses a query (MaskFormer, Cheng
 queries to the true panels of a garment at least cost. The order of vertices and faces changes no answer.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.optimize import linear_sum_assignment
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.derived import MIRRORED, MIRRORED_EDGES, PANEL_CLASSES
+from benchmarks.reconstruction.derived import PANEL_CLASSES
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Learner, sizes_from
+from benchmarks.reconstruction.labelled_surfaces import LabelBatch, LabelledSurfaces
+from benchmarks.reconstruction.learners import Learner, least_cost, sizes_from
 from benchmarks.reconstruction.surface_net import LAYER_OPTIONS, SurfaceNet, SurfaceNetConfig, mlp
 from benchmarks.reconstruction.surfaces import (
-    SurfaceArrays,
     SurfaceBatch,
-    SurfaceStore,
-    cloud_of,
-    drawn_turn,
-    packed_rows,
-    surface_of,
-    vertex_normals,
 )
-from benchmarks.reconstruction.vertex_labels import VertexLabels, true_labels
+from benchmarks.reconstruction.vertex_labels import VertexLabels
 from gcd_dataset.tensors import EDGE_LABELS
-from gcd_dataset.workers import parallel_map
 
 TASKS = ("T4",)
 LEAST_VERTICES = 5  # of a panel; at 4 cm the smallest of 2,000 panels has 9
@@ -52,18 +41,6 @@ SMALL: Mapping[str, Any] = {
 """Options of the smallest training, for two CPU cores, and the sizes of its network."""
 
 
-@dataclass(frozen=True)
-class LabelBatch:
-    """Meshes with the labels of their vertices."""
-
-    surface: SurfaceBatch
-    panels: Bool[Tensor, "b n p"]
-    """Whether a vertex belongs to a panel."""
-    seams: Bool[Tensor, "b n s"]
-    classes: Bool[Tensor, "b n c"]
-    edges: Bool[Tensor, "b n l"]
-
-
 class Segmentation(Learner[LabelBatch, VertexLabels]):
     """Mesh to labels of its vertices."""
 
@@ -74,13 +51,10 @@ class Segmentation(Learner[LabelBatch, VertexLabels]):
         panels: int = 40,
         seams: int = 128,
         decoder_layers: int = 3,
-        mesh: int = 1,
     ) -> None:
-        """``panels``, ``seams``: most of a garment; ``decoder_layers``: of each set. ``mesh``: 0 to see the vertices as
-        points without edges.
-        """
+        """``panels``, ``seams``: most of a garment; ``decoder_layers``: of each set."""
         super().__init__()
-        self.config, self.mesh = config or SurfaceNetConfig(), bool(mesh)
+        self.config = config or SurfaceNetConfig()
         self.net = SurfaceNet(self.config, features=0)
         self.panels = SetHead(self.config, panels, decoder_layers)
         self.seams = SetHead(self.config, seams, decoder_layers)
@@ -90,7 +64,7 @@ class Segmentation(Learner[LabelBatch, VertexLabels]):
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "LabelledSurfaces":
         """The meshes with clusters, and their labels."""
-        return LabelledSurfaces(garments, self.mesh, tokens=self.config.tokens, device=device, workers=workers)
+        return LabelledSurfaces(garments, tokens=self.config.tokens, device=device, workers=workers)
 
     def compile_parts(self) -> None:
         self.net.compile_convolutions()
@@ -136,74 +110,15 @@ class Segmentation(Learner[LabelBatch, VertexLabels]):
         return features, self.panels(padded, tokens, exists), self.seams(padded, tokens, exists)
 
 
-def build(*, smoke: bool, options: Mapping[str, Any]) -> Segmentation:
-    """The learner; ``options``: fields of ``SurfaceNetConfig``, and the arguments of ``Segmentation``.
+def build(config: Mapping[str, Any]) -> Segmentation:
+    """The learner; ``config``: fields of ``SurfaceNetConfig``, and the arguments of ``Segmentation``.
 
     Raises ``ConfigError`` for others.
     """
-    given, own = {**(SMALL if smoke else {}), **options}, ("panels", "seams", "decoder_layers", "mesh")
-    least = {"convolutions": 0, "layers": 0, "decoder_layers": 0, "mesh": 0}
-    sizes, arguments = sizes_from("segmentation", SurfaceNetConfig, given, own=own, least=least)
+    own = ("panels", "seams", "decoder_layers")
+    least = {"convolutions": 0, "layers": 0, "decoder_layers": 0}
+    sizes, arguments = sizes_from("segmentation", SurfaceNetConfig, config, own=own, least=least)
     return Segmentation(sizes, **arguments)
-
-
-# --------------------------------------------------------------------------------------------------------- the examples
-
-
-class LabelledSurfaces:
-    """Meshes with labels on a device; batches are turned, mirrored and scaled at random."""
-
-    def __init__(
-        self, garments: GarmentSet, with_edges: bool, *, tokens: int, device: torch.device, workers: int = 0
-    ) -> None:
-        ragged = garments.ragged
-        meshes = ((ragged["verts"][k], ragged["faces"][k]) for k in range(len(garments)))
-        surfaces = list(parallel_map(partial(_prepared, tokens, with_edges), meshes, workers))
-        self.store = SurfaceStore(surfaces, tokens=tokens, device=device)
-        truths = [true_labels(garments, k) for k in range(len(garments))]
-        self._labels = {
-            name: _Members([getattr(truth, name) for truth in truths], device)
-            for name in ("panels", "seams", "classes", "edges")
-        }
-
-    def __len__(self) -> int:
-        return len(self.store)
-
-    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> LabelBatch:
-        """The meshes ``rows``; mirror images have the labels of the other side."""
-        surface, _ = self.store.batch(rows)
-        room = int(surface.counts.max())
-        labels = {name: labels.of(rows, room) for name, labels in self._labels.items()}
-        if chance is not None:
-            turn = drawn_turn(rows, len(self), chance, surface.positions.device)
-            surface, mirrored = turn.of(surface), turn.mirrored[:, None, None]
-            labels["classes"] = torch.where(mirrored, labels["classes"][..., MIRRORED], labels["classes"])
-            labels["edges"] = torch.where(mirrored, labels["edges"][..., MIRRORED_EDGES], labels["edges"])
-        return LabelBatch(surface, **labels)
-
-
-def _prepared(tokens: int, with_edges: bool, mesh: tuple[np.ndarray, np.ndarray]) -> SurfaceArrays:
-    if with_edges:
-        return surface_of(*mesh, clusters=tokens)
-    return cloud_of(mesh[0].astype(float), vertex_normals(*mesh), clusters=tokens)
-
-
-class _Members:
-    """Pairs of vertex and label, on a device."""
-
-    def __init__(self, tables: Sequence[Bool[np.ndarray, "v n"]], device: torch.device) -> None:
-        pairs = [np.argwhere(table) for table in tables]
-        starts = np.concatenate([[0], np.cumsum([len(rows) for rows in pairs])])
-        self._starts = torch.from_numpy(starts).to(device)
-        self._pairs = torch.from_numpy(np.concatenate(pairs).astype(np.int32)).to(device)
-        self._columns = max(1, *(table.shape[1] for table in tables))
-
-    def of(self, rows: Int[Tensor, " b"], room: int) -> Bool[Tensor, "b n c"]:
-        chosen, owners, _ = packed_rows(self._starts, rows.to(self._starts.device))
-        pairs = self._pairs[chosen].long()
-        found = torch.zeros(len(rows), room, self._columns, dtype=torch.bool, device=pairs.device)
-        found[owners, pairs[:, 0], pairs[:, 1]] = True
-        return found
 
 
 # ---------------------------------------------------------------------------------------------------------- the network
@@ -252,7 +167,8 @@ def set_loss(
     overlap = members.transpose(1, 2) @ probability
     sizes = members.sum(dim=1)
     dice = 1 - 2 * overlap / (sizes[..., None] + probability.sum(dim=1)[:, None] + 1)
-    assigned = _assignment((entropy + 2 * dice).detach(), sizes > 0)
+    queries = least_cost(entropy + 2 * dice, sizes > 0)
+    assigned = functional.one_hot(queries, log.shape[-1]) * (sizes > 0)[..., None].to(log)
     return any_of_loss(log, (members @ assigned) > 0), (dice * assigned).sum() / assigned.sum().clamp(min=1)
 
 
@@ -273,14 +189,3 @@ def _without_crumbs(logits: Float[Tensor, "b n q"], exists: Bool[Tensor, "b n"])
     chosen = functional.one_hot(logits.argmax(dim=-1), logits.shape[-1]) * exists[..., None]
     few = chosen.sum(dim=1) < LEAST_VERTICES
     return logits.masked_fill(few[:, None], -torch.inf).argmax(dim=-1)
-
-
-@torch.no_grad()
-def _assignment(cost: Float[Tensor, "b p q"], present: Bool[Tensor, "b p"]) -> Float[Tensor, "b p q"]:
-    """1 for each pair of a present set and its query, of least total cost for each garment."""
-    found = np.zeros(tuple(cost.shape), np.float32)
-    for one, costs, rows in zip(found, cost.cpu().numpy(), present.cpu().numpy(), strict=True):
-        numbers = np.flatnonzero(rows)
-        sets, queries = linear_sum_assignment(costs[numbers])
-        one[numbers[sets], queries] = 1.0
-    return torch.from_numpy(found).to(cost.device)

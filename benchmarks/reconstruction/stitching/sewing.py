@@ -27,7 +27,7 @@ from benchmarks.reconstruction.stitching.merging import Cuts, aligned, needed, s
 from gcd_dataset.records import Pattern
 
 if TYPE_CHECKING:
-    from benchmarks.reconstruction.models.stitches import StitchNet
+    from benchmarks.reconstruction.stitching.net import StitchNet
 
 LEAST = 1e-3  # probability of a seam that may be predicted
 REVISIONS = 3  # most times that needless points of subdivision are taken back

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 import pytest
 import torch
 
+from benchmarks.reconstruction.edge_decoder import decode
 from benchmarks.reconstruction.edge_sequence import (
     CLOSING_CURVE,
     CLOSING_LINE,
@@ -19,7 +20,7 @@ from benchmarks.reconstruction.edge_sequence import (
     tokens_of,
 )
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models.edge_tokens import EdgeTokens, build, decode
+from benchmarks.reconstruction.models.edge_tokens import SMALL, EdgeTokens, build
 from benchmarks.reconstruction.panel_targets import PanelTargets, patterns_from
 from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.metrics import score_pattern
@@ -30,7 +31,7 @@ CPU = torch.device("cpu")
 
 def learner(**sizes: int) -> EdgeTokens:
     torch.manual_seed(0)
-    return build(smoke=True, options={"points": 128, "stored_points": 512, **sizes})
+    return build({**SMALL, "points": 128, "stored_points": 512, **sizes})
 
 
 def undecided(**sizes: int) -> EdgeTokens:

@@ -224,7 +224,12 @@ def test_the_validation_set_has_enough_trousers_jumpsuits_and_hoods(monkeypatch:
     assert counts[0] >= 500
     assert min(counts[1:]) > 60
     monkeypatch.setattr(tasks, "VALIDATION", [(seed, 4, design) for seed, _, design in tasks.VALIDATION])
-    found, split = TASKS["T3"].validation(), TASKS["T3"].load(30, tested=30)
+    found, split = (
+        TASKS["T3"].validation(
+            500,
+        ),
+        TASKS["T3"].load(30, tested=30),
+    )
     assert found.kinds[4:12] == ("pants",) * 4 + ("jumpsuit",) * 4
     seed, _, design = tasks.VALIDATION[3]
     hoods = GeneratedGarments(4, seed, stage="pattern", drape=None, design=design, fields=["design"])

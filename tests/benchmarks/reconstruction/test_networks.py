@@ -1,24 +1,22 @@
 """Parts of networks, and their sizes: an unusable one is one error that names it."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from scipy.optimize import linear_sum_assignment
 from torch import Tensor, nn
 
-from benchmarks.reconstruction.assignment import least_cost
 from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
-from benchmarks.reconstruction.learners import Learner
+from benchmarks.reconstruction.learners import Learner, least_cost
 from benchmarks.reconstruction.models import MODELS, load_model
+from benchmarks.reconstruction.options import Config
 from benchmarks.reconstruction.point_net import DecoderLayer, EncoderLayer, hiding
-from benchmarks.reconstruction.stitching.run import main as stitching
-from benchmarks.reconstruction.training import TrainConfig, train
+from benchmarks.reconstruction.train import train
 from gcd_dataset.errors import ConfigError
+from tests.benchmarks.reconstruction.toys import small
 
 CPU = torch.device("cpu")
 NETWORKS = [name for name in MODELS if hasattr(load_model(name), "build")]
@@ -26,7 +24,6 @@ NEEDED = {
     "panel_set": "width heads layers queries slots edges edge_width edge_heads seam_layers tokens points stored_points",
     "edge_tokens": "width heads layers decoder_layers queries slots edges tokens points stored_points",
     "parameters": "width heads layers tokens points stored_points",
-    "picture_set": "width heads layers queries slots edges edge_width edge_heads seam_layers views",
     "picture_parameters": "width heads layers views",
     "stitches": "width heads layers pair_width rounds confident",
     "segmentation": "width rounds tokens token_width heads panels seams",
@@ -43,7 +40,7 @@ def needed(model: str) -> list[str]:
 @pytest.mark.parametrize(("model", "name"), [(model, name) for model in NETWORKS for name in needed(model)])
 def test_a_network_has_some_of_what_it_needs(model: str, name: str) -> None:
     with pytest.raises(ConfigError, match=rf"^{name} 0"):
-        load_model(model).build(smoke=True, options={name: 0})
+        small(model, **{name: 0})
 
 
 @pytest.mark.parametrize("model", NETWORKS)
@@ -52,52 +49,39 @@ def test_heads_share_the_width(model: str) -> None:
     for name in {"width", "edge_width", "token_width"} & {*names}:
         if "heads" in names and not (name == "width" and "token_width" in names):
             with pytest.raises(ConfigError, match=rf"{name} 33 is no multiple of (edge_)?heads 4"):
-                load_model(model).build(smoke=True, options={name: 33})
+                small(model, **{name: 33})
 
 
 @pytest.mark.parametrize("model", NETWORKS)
 def test_an_unknown_size_is_refused(model: str) -> None:
     with pytest.raises(ConfigError, match=rf"^no size tables of {model}: choose of \w+, "):
-        load_model(model).build(smoke=True, options={"tables": 3})
+        small(model, tables=3)
 
 
 @pytest.mark.parametrize("model", ["panel_set", "edge_tokens", "parameters"])
 def test_garments_have_a_point_for_each_token(model: str, six: GarmentSet) -> None:
     few = replace(six, points=six.points[:, :16])
     with pytest.raises(ConfigError, match="32 tokens of 16 points: give a power of 2, at most the points"):
-        load_model(model).build(smoke=True, options={}).prepare(few, device=torch.device("cpu"))
+        small(model).prepare(few, device=torch.device("cpu"))
 
 
-@pytest.mark.parametrize("model", ["picture_set", "picture_parameters"])
-def test_networks_of_pictures_have_no_sizes_of_points(model: str) -> None:
+def test_networks_of_pictures_have_no_sizes_of_points() -> None:
+    model = "picture_parameters"
     with pytest.raises(ConfigError, match="no size region_width"):
-        load_model(model).build(smoke=True, options={"region_width": 32})
+        small(model, region_width=32)
     with pytest.raises(ConfigError, match="width 36: give a multiple of 32"):
-        load_model(model).build(smoke=True, options={"width": 36})
+        small(model, width=36)
 
 
-@pytest.mark.parametrize(
-    ("flags", "expected"),
-    [
-        (["--width", "0"], "width 0 of stitches: give 1 or more"),
-        (["--width", "33"], "width 33 is no multiple of heads 4 of stitches"),
-        (["--heads", "0"], "heads 0 of stitches"),
-        (["--pair-width", "0"], "pair_width 0 of stitches"),
-        (["--foreign", "0.5"], "foreign is 0.5: give a share"),
-    ],
-)
-def test_stitching_refuses_sizes_before_patterns_are_drawn(
-    flags: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert stitching(["--smoke", "--device", "cpu", "--out", str(tmp_path / "out"), *flags]) == 1
-    assert expected in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+def test_a_share_of_foreign_garments_has_a_limit() -> None:
+    with pytest.raises(ConfigError, match=r"foreign is 0\.5: give a share"):
+        small("stitches", foreign=0.5)
 
 
 FEW = {"points": 128, "stored_points": 512}
 SIZES: dict[str, dict[str, int]] = {
     "panel_set": FEW, "edge_tokens": {**FEW, "noise_mm": 0}, "parameters": {**FEW, "labelled": 1},
-    "picture_set": {"views": 1}, "picture_parameters": {"views": 1},
+    "picture_parameters": {"views": 1},
 }  # fmt: skip
 
 
@@ -113,8 +97,7 @@ def pictured(six: GarmentSet) -> GarmentSet:
 
 def network(model: str) -> Learner[Any, Any]:
     torch.manual_seed(0)
-    learner: Learner[Any, Any] = load_model(model).build(smoke=True, options=SIZES[model])
-    return learner
+    return small(model, **SIZES[model])
 
 
 def loss_of(learner: Learner[Any, Any], batch: Any) -> float:
@@ -152,7 +135,7 @@ def test_empty_rows_and_garments_beyond_the_sizes_teach_nothing(model: str, six:
 def test_a_network_learns(six: GarmentSet) -> None:
     """The others learn in tests/extras."""
     learner = network("panel_set")
-    config = TrainConfig(steps=20, batch=6, lr=4e-3, log_every=5, weight_decay=0.0)
+    config = Config(steps=20, batch=6, lr=4e-3, log_every=5, weight_decay=0.0)
     curve = train(learner, learner.prepare(six, device=CPU), config, device=CPU).curve
     assert curve[-1]["loss"] < 0.8 * curve[0]["loss"]
 
@@ -190,19 +173,6 @@ def test_tokens_attend_to_others_as_in_torch() -> None:
     pairs = zip(gradients(own, ours), gradients(theirs, peer), strict=True)
     assert all(torch.allclose(one, other, atol=1e-4) for one, other in pairs)
     assert torch.allclose(own(tokens, others), theirs(tokens, others), atol=1e-5)
-
-
-def test_the_total_cost_is_that_of_scipy() -> None:
-    chance = torch.Generator().manual_seed(0)
-    cost = 4.0 * torch.randn(24, 9, 13, generator=chance)
-    asked = torch.rand(24, 9, generator=chance) < 0.7
-    asked[:2] = torch.tensor([[True], [False]])
-    found = least_cost(cost, asked)
-    for table, rows, columns in zip(cost.numpy(), asked.numpy(), found.numpy(), strict=True):
-        best = table[rows][linear_sum_assignment(table[rows])].sum()
-        assert len(set(columns[rows].tolist())) == rows.sum()
-        np.testing.assert_allclose(table[rows, columns[rows]].sum(), best, atol=1e-4)
-        assert not columns[~rows].any()
 
 
 def test_costs_that_are_no_numbers_are_avoided() -> None:

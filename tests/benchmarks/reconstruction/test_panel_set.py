@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.models.panel_set import PanelSet, _partners, build, edges_of, match_panels, panel_losses
+from benchmarks.reconstruction.models.panel_set import SMALL, PanelSet, build, match_panels, panel_losses
+from benchmarks.reconstruction.panel_answers import _partners, edges_of
 from benchmarks.reconstruction.panel_net import Predicted
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, fitted_curve, patterns_from, simple_panel
 from benchmarks.reconstruction.point_net import regions_of
@@ -24,7 +25,7 @@ CPU = torch.device("cpu")
 
 def learner(**sizes: int) -> PanelSet:
     torch.manual_seed(0)
-    return build(smoke=True, options={"points": 128, "stored_points": 512, **sizes})
+    return build({**SMALL, "points": 128, "stored_points": 512, **sizes})
 
 
 @pytest.fixture(scope="module")

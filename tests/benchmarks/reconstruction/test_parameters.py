@@ -15,7 +15,7 @@ from benchmarks.reconstruction.derived import CENTRE, DERIVED, PANEL_CLASSES, de
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
 from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
-from benchmarks.reconstruction.models.parameters import MOST_GROWTH, Designs, ParameterNet, build
+from benchmarks.reconstruction.models.parameters import MOST_GROWTH, SMALL, Designs, ParameterNet, build
 from benchmarks.reconstruction.panel_targets import UNIT
 from benchmarks.reconstruction.train import main
 from gcd_dataset.curves import sample_curve
@@ -36,7 +36,7 @@ PATHS = [leaf.path for leaf in PARAMETERS]
 
 def learner(**sizes: int) -> ParameterNet:
     torch.manual_seed(0)
-    return build(smoke=True, options={"points": 128, "stored_points": 512, "tokens": 16, **sizes})
+    return build({**SMALL, "points": 128, "stored_points": 512, "tokens": 16, **sizes})
 
 
 def loss_of(network: ParameterNet, batch: Designs) -> float:
@@ -363,7 +363,7 @@ def test_a_drape_that_failed_has_labels_too(value: float) -> None:
 
 
 def test_mirror_images_have_the_labels_of_the_other_side(six: GarmentSet) -> None:
-    network = build(smoke=True, options={**LABEL_SIZES, "labelled": 1, "augmented": 1})
+    network = build({**SMALL, **LABEL_SIZES, "labelled": 1, "augmented": 1})
     examples = network.prepare(six, device=CPU)
     names = [PANEL_CLASSES.index(name) for name in ("left_ftorso", "right_ftorso", "skirt_front")]
     edges = [EDGE_LABELS.index(name) for name in ("left_collar", "right_collar", "")]
@@ -386,7 +386,7 @@ def test_garments_without_labels_can_be_answered_but_not_learned_from(
     six: GarmentSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bare = replace(six, ragged={name: rows for name, rows in six.ragged.items() if name != "box_labels"})
-    network = build(smoke=True, options={**LABEL_SIZES, "labelled": 1})
+    network = build({**SMALL, **LABEL_SIZES, "labelled": 1})
     batch = network.prepare(bare, device=CPU).batch(torch.arange(6))
     with pytest.raises(ConfigError, match="labelled=1: the points of these garments have no labels"):
         network.loss(batch)
@@ -394,5 +394,5 @@ def test_garments_without_labels_can_be_answered_but_not_learned_from(
     assert "borders" not in network.loss(batch)
     assert len(network.predict(batch)) == 6
     flags = ["--smoke", "--steps", "1", "--set", "labelled=1", "--out", str(tmp_path)]
-    assert main(["parameters", "--task", "T1-scan", *flags]) == 1
+    assert main(["--model", "parameters", "--task", "T1-scan", *flags]) == 1
     assert "the points of these garments have no labels" in capsys.readouterr().err

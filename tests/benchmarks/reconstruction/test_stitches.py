@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction.models.stitches import (
-    StitchNet,
-    revealed,
-)
 from benchmarks.reconstruction.stitching.edge_shapes import next_on_boundary
+from benchmarks.reconstruction.stitching.evaluation import write
 from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
+from benchmarks.reconstruction.stitching.losses import revealed
 from benchmarks.reconstruction.stitching.merging import aligned, glued, merged, split
-from benchmarks.reconstruction.stitching.run import write
+from benchmarks.reconstruction.stitching.net import StitchNet
 from benchmarks.reconstruction.stitching.scores import (
     congruences,
     score_intervals,

@@ -14,9 +14,10 @@ from benchmarks.reconstruction.drapes import (
 )
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
 from benchmarks.reconstruction.models.baselines import box_mesh, solver
+from benchmarks.reconstruction.models.drape_surrogate import SMALL as SMALL_SURROGATE
 from benchmarks.reconstruction.models.drape_surrogate import build as build_surrogate
 from benchmarks.reconstruction.models.drape_surrogate import depth, nearest_skin
-from benchmarks.reconstruction.models.segmentation import build, set_loss
+from benchmarks.reconstruction.models.segmentation import SMALL, build, set_loss
 from benchmarks.reconstruction.surface_net import of_neighbours
 from benchmarks.reconstruction.surfaces import (
     NEIGHBOURS,
@@ -226,7 +227,7 @@ def test_the_loss_of_sets_does_not_depend_on_their_numbering() -> None:
 
 def test_shuffled_meshes_get_the_same_labels_shuffled(draped: GarmentSet) -> None:
     torch.manual_seed(0)
-    learner = build(smoke=True, options={}).eval()
+    learner = build(SMALL).eval()
     garment = draped.select([0])
     order = np.random.default_rng(0).permutation(len(garment.ragged["verts"][0]))
     place = np.argsort(order)
@@ -283,7 +284,7 @@ def test_the_solver_drapes_a_garment_as_before(draped: GarmentSet) -> None:
 
 
 def test_depth_is_measured_below_the_skin(draped: GarmentSet) -> None:
-    examples = build_surrogate(smoke=True, options={"body": 64}).prepare(draped, device=CPU)
+    examples = build_surrogate({**SMALL_SURROGATE, "body": 64}).prepare(draped, device=CPU)
     batch = examples.batch(torch.tensor([0]))
     points, normals = batch.body[0, :5, :3], batch.body[0, :5, 3:]
     surface = replace(
@@ -296,7 +297,7 @@ def test_depth_is_measured_below_the_skin(draped: GarmentSet) -> None:
 
 def test_a_turned_batch_is_the_same_drape(draped: GarmentSet) -> None:
     """A turn and a mirror image move cloth, body and drape together: distances between them stay."""
-    examples = build_surrogate(smoke=True, options={"body": 64}).prepare(draped, device=CPU)
+    examples = build_surrogate({**SMALL_SURROGATE, "body": 64}).prepare(draped, device=CPU)
     rows = torch.arange(2)
     plain, moved = examples.batch(rows), examples.batch(rows, torch.Generator().manual_seed(3))
     first = slice(0, 50)

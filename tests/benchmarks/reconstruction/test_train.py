@@ -1,30 +1,36 @@
 """The command: what it writes can be read and scored again, and a repeated call continues."""
 
-import argparse
 import csv
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction import train
-from benchmarks.reconstruction.models import panel_set
+from benchmarks.examples import tiny_model
+from benchmarks.reconstruction import runs, train
+from benchmarks.reconstruction.options import parsed
+from benchmarks.reconstruction.results import add, read_entries
+from benchmarks.reconstruction.runs import load_split
 from benchmarks.reconstruction.tasks import TASKS
-from benchmarks.reconstruction.train import UNFINISHED, main
+from benchmarks.reconstruction.train import main
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator import MakeConfig
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import recipe_of
 from gcd_dataset.metrics import mean_scores, score_pattern
+from gcd_dataset.scoring.table import DRAPED
 from gcd_dataset.shards import ShardWriter
-from gcd_dataset.spec import read_pattern
+from gcd_dataset.spec import read_pattern, write_pattern
+from tests.benchmarks.reconstruction.toys import t_shirt
 
+EXAMPLE = Path(tiny_model.__file__)
 SMALL = ["--smoke", "--train", "4", "--test", "3", "--resolution", "6", "--device", "cpu"]
-CALL = ["panel_set", "--steps", "1", "--batch", "4"]
+CALL = ["--model", "panel_set", "--steps", "1", "--batch", "4"]
 
 
 @pytest.fixture(scope="module")
@@ -70,70 +76,34 @@ def test_answers_are_written_and_scored(once: Path) -> None:
 def test_a_finished_run_is_not_answered_again(
     trained: Path, small: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Unless a file that the evaluator needs is missing."""
-    out, call = trained, [*CALL, *small, "--out", str(trained)]
-    written = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in out.rglob("*") if path.is_file()}
-    with monkeypatch.context() as patch:
-        for name in ("train", "_answers"):
-            patch.setattr(train, name, Mock(side_effect=AssertionError))
-        assert main(call) == 0
+    """Nor are its answers mixed with those of another run."""
+    call = [*CALL, *small, "--out", str(trained)]
+    written = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in trained.rglob("*") if path.is_file()}
+    monkeypatch.setattr(train, "train", Mock(side_effect=AssertionError))
+    assert main(call) == 0
     again = capsys.readouterr()
     assert "T0.panel_set.iou " in again.out
-    assert f"{out / 'report.json'} is of this run" in again.err
+    assert f"{trained / 'report.json'} is of this run" in again.err
+    for other, told in (
+        (["--batch", "2"], "batch 4, not 2"),
+        (["--test", "2"], "test 3, not 2"),
+        (["--model", "nearest"], "model panel_set, not nearest"),
+    ):
+        assert main([*call, *other]) == 1
+        assert f"of a run with {told}: give another folder, or delete it" in capsys.readouterr().err
     assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in written} == written
-    removed = next((out / "predictions").iterdir())
-    removed.unlink()
-    assert main(call) == 0
-    assert removed.exists()
 
 
 def test_answers_of_an_earlier_run_are_removed(tmp_path: Path, small: list[str]) -> None:
     """They would be scored as answers of the later model."""
-    out = tmp_path / "out"
-    assert main(["nearest", *small, "--out", str(out)]) == 0
-    (out / "predictions" / "own.json").write_text("{}")
-    (out / "evaluation.json").write_text("{}")
-    assert main(["typical", *small, "--test", "2", "--out", str(out)]) == 0
+    assert main(["--model", "nearest", *small, "--out", str(tmp_path)]) == 0
+    (tmp_path / "predictions" / "own.json").write_text("{}")
+    (tmp_path / "report.json").unlink()
+    assert main(["--model", "typical", *small, "--test", "2", "--out", str(tmp_path)]) == 0
     for folder in ("predictions", "truth"):
-        assert {path.name for path in patterns_in(out / folder)} - {"own.json"} == {f"1_{k:09d}.json" for k in range(2)}
-    assert {path.name for path in (out / "bodies").iterdir()} == {
-        f"1_{k:09d}{end}" for k in range(2) for end in (".npy", ".meta.json")
-    }
-    assert (out / "predictions" / "own.json").exists()  # a file that the command did not write
-    assert not (out / "evaluation.json").exists()
-
-
-def test_another_default_of_a_network_is_another_training(
-    trained: Path, small: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Versions may differ in one. Comparing networks draws no random number."""
-    monkeypatch.setattr(train, "_network_hash", train._network_hash.__wrapped__)
-    torch.manual_seed(5)
-    expected = torch.rand(3)
-    torch.manual_seed(5)
-    same = train._network_hash("panel_set", True, "{}")
-    assert torch.equal(torch.rand(3), expected)
-    assert same == train._network_hash("panel_set", True, "{}")
-    monkeypatch.setattr(panel_set, "SMALL", {**panel_set.SMALL, "points": 128})
-    assert main([*CALL, *small, "--out", str(trained)]) == 1
-    assert f"of a training with network {same}" in capsys.readouterr().err
-
-
-def test_a_training_is_told_by_its_task_its_garments_and_their_recipe(small: list[str]) -> None:
-    parser = argparse.ArgumentParser()
-    train.add_arguments(parser)
-    options = train.options_from(parser.parse_args(small), "panel_set")
-    garments = train.load_split(options).train
-    recipe = {**garments.recipe, "recipe": {**garments.recipe["recipe"], "resolution": 7.0}}
-    usual = train._identity(options, garments)
-    for changed, some, names in (
-        (replace(options, task=TASKS["T1"]), garments, {"task"}),
-        (options, garments.select([0, 1]), {"garments", "ids", "patterns", "points"}),
-        (options, replace(garments, recipe=recipe), {"recipe"}),
-        (options, replace(garments, recipe={**garments.recipe, "made": 5}), set[str]()),
-    ):
-        found = train._identity(changed, some)
-        assert {name for name in found if found[name] != usual[name]} == names
+        names = {path.name for path in patterns_in(tmp_path / folder)} - {"own.json"}
+        assert names == {f"1_{k:09d}.json" for k in range(2)}
+    assert (tmp_path / "predictions" / "own.json").exists()  # a file that the command did not write
 
 
 def test_a_damaged_checkpoint_is_one_error(trained: Path, small: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -149,33 +119,88 @@ def test_the_report_is_written_before_answers_are_draped(
     tmp_path: Path, small: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Drapes that are killed leave it as it is, and the next call drapes the answers, once."""
-    call = ["typical", *small, "--test", "1", "--drape", "--out", str(tmp_path)]
+    call = ["--model", "typical", *small, "--test", "1", "--drape", "--out", str(tmp_path)]
     with monkeypatch.context() as patch, pytest.raises(SystemExit):
-        patch.setattr(train, "evaluate", Mock(side_effect=SystemExit))
+        patch.setattr(runs, "evaluate", Mock(side_effect=SystemExit))
         main(call)
     plain = json.loads((tmp_path / "report.json").read_text())
     assert "iou" in plain["scores"]
-    assert not train.is_draped(plain)
-    monkeypatch.setattr(train, "_answers", Mock(side_effect=AssertionError))
+    monkeypatch.setattr(train, "answered", Mock(side_effect=AssertionError))
     assert main(call) == 0
     report = json.loads((tmp_path / "report.json").read_text())
-    assert train.is_draped(report)
-    assert report["scores"].items() >= plain["scores"].items()
-    monkeypatch.setattr(train, "evaluate", Mock(side_effect=AssertionError))
+    assert report["scores"].keys() >= {*plain["scores"], *DRAPED}
+    monkeypatch.setattr(runs, "evaluate", Mock(side_effect=AssertionError))
     assert main(call) == 0
 
 
-def test_garments_are_made_alone_and_a_limit_ends_the_call(tmp_path: Path, small: list[str]) -> None:
-    flags = ["panel_set", *small, "--steps", "4", "--out", str(tmp_path / "out"), "--data", str(tmp_path / "data")]
+def test_garments_can_be_made_alone(tmp_path: Path) -> None:
+    flags = [*SMALL, "--out", str(tmp_path / "out"), "--data", str(tmp_path / "data")]
     assert main([*flags, "--make-only"]) == 0
     assert len(list((tmp_path / "data").glob("*/*.npz"))) == 3  # to train, to check, to test
-    assert not list((tmp_path / "out").iterdir())
-    assert main([*flags, "--limit-minutes", "0.0001"]) == UNFINISHED
-    assert (tmp_path / "out" / "checkpoint.pt").exists()
-    assert not (tmp_path / "out" / "report.json").exists()
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_validation_set_chooses_the_weights_and_the_training_set_the_range_of_measures(
+    tmp_path: Path, small: list[str]
+) -> None:
+    """Answers are confined to the measures of the bodies trained on, not of those that are watched."""
+    flags = ["--model", "parameters", *small, "--steps", "4", "--batch", "2", "--validate", "5", "--out", str(tmp_path)]
     assert main(flags) == 0
+    config = parsed(flags)
+    split = load_split(config, TASKS["T0"])
+    assert len(split.check) == 20  # five of each part
+    state = torch.load(tmp_path / "weights.pt", weights_only=True)
+    assert np.allclose(state["decoder.most"], split.train.measures.max(axis=0))
+    values = state["decoder.weights"]
+    assert values.dtype == torch.bfloat16
+    best = torch.load(tmp_path / "checkpoint.pt", weights_only=True)["progress"][2]
+    assert torch.equal(best[1]["decoder.weights"].to(torch.bfloat16), values)
+
+
+def test_ranks_share_the_garments_of_a_set(tmp_path: Path, small: list[str]) -> None:
+    """Each reads every second one; together they have the hashes of the whole."""
+    config = parsed([*small, "--out", str(tmp_path)])
+    data: dict[str, Any] = {"data": Path(config.data), "tested": 3, "resolution": 6.0, "design": runs.SKIRTS}
+    whole = TASKS["T0"].load(4, **data).train
+    shares = [TASKS["T0"].load(4, share=(k, 2), **data).train for k in range(2)]
+    assert [share.keys for share in shares] == [whole.keys[::2], whole.keys[1::2]]
+    hashes = [share.pattern_hash(k, 2) for k, share in enumerate(shares)]
+    assert (hashes[0] + hashes[1]).text == whole.patterns_hash
+
+
+def test_seams_have_tables_that_the_leaderboard_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With those of patterns in a folder; a smoke run is refused, so the report says that it is none."""
+    (tmp_path / "foreign").mkdir()
+    write_pattern(t_shirt(), tmp_path / "foreign" / "shirt_specification.json")
+    flags = ["--model", "stitches", "--task", "T3", *SMALL, "--steps", "2", "--batch", "2", "--validate", "4"]
+    path = tmp_path / "out" / "report.json"
+    assert main([*flags, "--examples", str(tmp_path / "foreign"), "--out", str(path.parent)]) == 0
+    report = json.loads(path.read_text())
+    assert report["one_to_one"]["garments"] == 3
+    assert report["foreign"]["each"][0]["name"]
+    for part in report["data"].values():
+        part["recipe"]["recipe"].pop("design", None)
+    whole = {name: {**report[name], "smoke": False} for name in ("arguments", "options")}
+    path.write_text(json.dumps({**report, **whole}))
+    told = {"command": "x", "commit": "abc", "date": "2026-11-28"}
+    (entry,) = read_entries(add(path, tmp_path / "results", **told).parent)
+    assert (entry.task, entry.train, entry.steps, entry.tested) == ("T3", 4, 2, 3)
+    assert entry.score("f1_symmetric")
+    assert main([*flags, "--examples", str(tmp_path / "none"), "--out", str(tmp_path / "other")]) == 1
+    assert "give a folder of specification files, with --task T3" in capsys.readouterr().err
+
+
+def test_a_strangers_file_is_trained(tmp_path: Path, small: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "my_model.py"
+    path.write_text(EXAMPLE.read_text().replace("def build(", "def mine("))
+    flags = [*small, "--steps", "2", "--batch", "2", "--out", str(tmp_path / "out")]
+    assert main(["--model", f"{path}:mine", *flags]) == 0
+    assert "T0.my_model.iou " in capsys.readouterr().out
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert (report["steps"], report["options"]["train"]) == (4, report["data"]["train"]["count"])
+    assert report["options"]["sizes"] == {"width": 64, "points": 256}
+    for name, told in ((f"{path}:other", "has no function other"), (f"{tmp_path}/no.py:build", "no model")):
+        assert main(["--model", name, *flags]) == 1
+        assert told in capsys.readouterr().err
 
 
 def test_garments_of_a_folder_are_trained_on(
@@ -186,10 +211,10 @@ def test_garments_of_a_folder_are_trained_on(
     with ShardWriter(tmp_path / "garments", seed=5, recipe=recipe_of(config)) as writer:
         for index in range(9):
             writer.write(make(5, index, config))
-    flags = ["panel_set", "--smoke", "--train", "3", "--test", "3", "--steps", "1", "--device", "cpu"]
+    flags = ["--model", "panel_set", "--smoke", "--train", "3", "--test", "3", "--steps", "1", "--device", "cpu"]
     flags += ["--source", str(tmp_path / "garments"), "--out", str(tmp_path / "out")]
     drape = Mock(side_effect=ConfigError("not draped here"))
-    monkeypatch.setattr(train, "evaluate", drape)
+    monkeypatch.setattr(runs, "evaluate", drape)
     assert main([*flags, "--drape"]) == 1
     assert drape.call_args.args[0].resolution == TASKS["T0"].options["resolution"]
     assert main(flags) == 0
@@ -202,43 +227,28 @@ def test_garments_of_a_folder_are_trained_on(
     assert "garments: garments of stage mesh: give garments made with --stage drape" in capsys.readouterr().err
 
 
-def test_a_reference_does_not_answer_into_the_folder_of_a_training(
-    trained: Path, small: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = {path: path.read_bytes() for path in sorted(trained.rglob("*")) if path.is_file()}
-    for name in ("checkpoint.pt", "curves.csv"):
-        assert main(["nearest", *small, "--out", str(trained)]) == 1
-        assert f"out holds {name} of a training: give nearest another folder" in capsys.readouterr().err
-        assert {path: path.read_bytes() for path in sorted(trained.rglob("*")) if path.is_file()} == before
-        (trained / name).unlink()
-        del before[trained / name]
-    assert main(["nearest", *small, "--out", str(trained)]) == 0
-
-
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [
         (["--task", "T9"], "no task 'T9'"),
         (["--task", "T4"], "panel_set does not answer T4: give --task T0, T1"),
-        (["--task", "T3", "--drape"], "panel_set does not answer T3"),
         (["--set", "width"], "--set width: give NAME=NUMBER"),
         (["--steps", "3", "--minutes", "1"], "give one of them"),
-        (["--steps", "3", "--minutes", "nan"], "give one of them"),
-        (["--minutes", "inf"], "give one of them"),
+        (["--steps", "3", "--minutes", "nan"], "--minutes nan: give 0 or more"),
+        (["--minutes", "inf"], "--minutes inf: give 0 or more"),
         (["--set", "width=0"], "width 0 of panel_set: give 1 or more"),
         (["--set", "width=33"], "width 33 is no multiple of heads 6 of panel_set: change one"),
         (["--set", "tables=3"], "no size tables of panel_set: choose of"),
         (["--train", "20", "--fresh", "10"], "--fresh 10: give room for the 20 garments of --train"),
         (["--fresh", "5000", "--leave-out", "skirt"], "--fresh: needs a model that encodes garments"),
-        (["--set", "width=-4"], "--set width=-4: give numbers of 0 or more"),
+        (["--set", "width=-4"], "width -4 of panel_set: give 1 or more"),
         (["--seed", "-1"], "--seed -1: give 0 or more"),
-        (["--steps", "3", "--lr", "-1"], "lr -1, checks 4: give a rate above 0"),
-        (["--steps", "3", "--checks", "-1"], "checks -1: give"),
+        (["--steps", "3", "--lr", "-1"], "--lr -1.0: give 0 or more"),
+        (["--steps", "3", "--checks", "-1"], "--checks -1: give"),
         (["--train", "-1"], "--train -1: give 0 or more"),
         (["--test", "-1"], "--test -1: give 0 or more"),
         (["--fresh", "-3"], "--fresh -3: give 0 or more"),
         (["--workers", "-5"], "--workers -5: give -1 or more"),
-        (["--limit-minutes", "nan"], "--limit-minutes nan: give 0 or more"),
         (["--device", "tpu"], "device='tpu': give auto, cpu"),
         (["--device", "cuda:99"], "device cuda:99: this machine has"),
         (["--device", "cuda:0,1"], "device cuda:0,1: give one; torchrun"),
@@ -247,6 +257,6 @@ def test_a_reference_does_not_answer_into_the_folder_of_a_training(
 def test_unusable_options_are_refused(
     flags: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["panel_set", "--out", str(tmp_path / "out"), *flags]) == 1
+    assert main(["--model", "panel_set", "--out", str(tmp_path / "out"), *flags]) == 1
     assert expected in capsys.readouterr().err
     assert not list(tmp_path.iterdir())  # neither garments nor results

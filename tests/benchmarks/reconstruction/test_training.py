@@ -1,4 +1,4 @@
-"""The training loop on a line: it is found, and a stopped training continues with the same numbers."""
+"""The training loop on a line: it is found, and a stopped training goes on with the same numbers."""
 
 import csv
 import itertools
@@ -14,24 +14,21 @@ import pytest
 import torch
 from torch import Tensor
 
-from benchmarks.reconstruction import training
-from benchmarks.reconstruction.training import (
-    FreshPool,
-    StoppedError,
-    TrainConfig,
-    Trained,
-    TrainingError,
-    learning_rate,
-    train,
-)
+from benchmarks.reconstruction import train as loop
+from benchmarks.reconstruction.learners import FreshPool
+from benchmarks.reconstruction.options import Config
+from benchmarks.reconstruction.recording import replace_tensors
+from benchmarks.reconstruction.runs import BETTER, Trained
+from benchmarks.reconstruction.train import StoppedError, learning_rate, train
+from benchmarks.reconstruction.weights import load_weights
 from gcd_dataset.errors import ConfigError
 from tests.benchmarks.reconstruction.toys import Line, LineLearner, line
 
 CPU = torch.device("cpu")
-CONFIG = TrainConfig(steps=40, batch=8, lr=0.1, log_every=10)
+CONFIG = Config(steps=40, batch=8, lr=0.1, log_every=10)
 
 
-def trained(out: Path | None = None, *, config: TrainConfig = CONFIG, dropout: float = 0.0, **options: Any) -> Trained:
+def trained(out: Path | None = None, *, config: Config = CONFIG, dropout: float = 0.0, **options: Any) -> Trained:
     return train(LineLearner(dropout), line(), config, device=CPU, out=out, **options)
 
 
@@ -44,80 +41,109 @@ def weight_of(found: Trained) -> Tensor:
     return found.learner.state_dict()["net.1.weight"]
 
 
+def interrupt(step: int, learner: object) -> Mapping[str, float]:
+    signal.raise_signal(signal.SIGTERM)
+    return {}
+
+
 def test_the_line_is_found() -> None:
-    found = trained(config=TrainConfig(steps=150, batch=32, lr=0.1, weight_decay=0.0, ema=0.9))
+    found = trained(config=Config(steps=150, batch=32, lr=0.1, weight_decay=0.0, ema=0.9))
     assert weight_of(found).tolist()[0] == pytest.approx([2.0, -1.0], abs=0.02)
     assert found.curve[-1]["loss"] < 1e-3 * found.curve[0]["loss"]
 
 
-def test_a_stopped_training_continues_with_the_same_numbers(tmp_path: Path) -> None:
-    whole = trained(dropout=0.2)
-    stopped = trained(tmp_path, dropout=0.2, stop_after=17)
-    assert stopped.steps == 17
-    assert not same(stopped, whole)
-    continued = trained(tmp_path, dropout=0.2)
-    assert continued.steps == 40
-    assert same(continued, whole)
-
-
-def test_a_training_that_its_limit_ends_continues_in_the_next_call(tmp_path: Path) -> None:
-    whole = trained(dropout=0.2)
-    with pytest.raises(StoppedError, match="stopped by the limit at 2%: repeat the command"):
-        trained(tmp_path, dropout=0.2, limit=0.0)
-    assert (tmp_path / "checkpoint.pt").exists()
-    assert same(trained(tmp_path, dropout=0.2), whole)
-    assert same(trained(tmp_path, dropout=0.2, limit=0.0), whole)  # finished before its limit counts
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_training_with_a_checkpoint(number: signal.Signals, tmp_path: Path) -> None:
-    def interrupt(step: int, learner: object) -> Mapping[str, float]:
+def test_a_stopped_training_goes_on_with_the_same_numbers(number: signal.Signals, tmp_path: Path) -> None:
+    def stop(step: int, learner: object) -> Mapping[str, float]:
         signal.raise_signal(number)
         return {}
 
     with pytest.raises(StoppedError, match="stopped by a signal at 28%: repeat the command"):
-        trained(tmp_path, check=interrupt)
-    assert same(trained(tmp_path), trained())
+        trained(tmp_path, dropout=0.2, check=stop)
+    found = trained(tmp_path, dropout=0.2)
+    assert found.steps == 40
+    assert same(found, trained(dropout=0.2))
 
 
 def test_compiling_changes_no_step(monkeypatch: pytest.MonkeyPatch) -> None:
     compiled: list[LineLearner] = []
     monkeypatch.setattr(LineLearner, "compile_parts", lambda self: compiled.append(self))
-    plain = trained(dropout=0.5)
-    assert same(trained(config=replace(CONFIG, compile=True), dropout=0.5), plain)
+    assert same(trained(config=replace(CONFIG, compile=True), dropout=0.5), trained(dropout=0.5))
     assert len(compiled) == 1
 
 
-def test_curves_hold_losses_and_checks_of_all_runs(tmp_path: Path) -> None:
+def test_curves_hold_losses_and_checks_of_all_calls(tmp_path: Path) -> None:
     seen: list[int] = []
 
     def check(step: int, learner: object) -> Mapping[str, float]:
         seen.append(step)
+        if seen == [20]:
+            signal.raise_signal(signal.SIGTERM)
         return {"error": float(step)}
 
-    config = TrainConfig(steps=40, batch=8, lr=0.1, log_every=10, checks=2)
-    trained(tmp_path, config=config, check=check, stop_after=23)
+    config = replace(CONFIG, checks=2)
+    with pytest.raises(StoppedError):
+        trained(tmp_path, config=config, check=check)
     trained(tmp_path, config=config, check=check)
     assert seen == [20, 40]
     with (tmp_path / "curves.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [int(row["step"]) for row in rows] == [10, 20, 23, 30, 40]
+    assert [int(row["step"]) for row in rows] == [10, 20, 21, 30, 40]
     assert [row["error"] for row in rows] == ["", "20.0", "", "", "40.0"]
     assert all(float(row["square"]) == float(row["loss"]) for row in rows)
 
 
+def test_the_best_weights_answer(tmp_path: Path) -> None:
+    """Of the second check; a call that goes on remembers them."""
+    kept: list[Tensor] = []
+
+    def check(step: int, learner: Any) -> Mapping[str, float]:
+        kept.append(learner.state_dict()["net.1.weight"].clone())
+        if step == 30:
+            signal.raise_signal(signal.SIGTERM)
+        return {BETTER: {10: 1.0, 20: 3.0, 30: 2.0, 40: 0.0}[step]}
+
+    with pytest.raises(StoppedError):
+        trained(tmp_path, check=check)
+    found = trained(tmp_path, check=check)
+    assert len(kept) == 4
+    assert torch.equal(weight_of(found), kept[1])
+    assert BETTER not in found.curve[-1]
+
+
+def test_a_training_begins_from_weights_and_moments(tmp_path: Path) -> None:
+    """Weights are rounded to bfloat16, so the first loss is that of the rounded weights, not of fresh ones."""
+    first = trained(tmp_path)
+    rounded = LineLearner()
+    load_weights(tmp_path / "weights.pt", rounded)
+    assert torch.allclose(rounded.net[1].weight, weight_of(first), rtol=2**-8)  # type: ignore[arg-type]
+    config = Config(steps=1, batch=8, lr=1e-9, weights=str(tmp_path / "weights.pt"), seed=1)
+    second = trained(config=config)
+    assert second.curve[0]["loss"] < 0.1 * trained(config=replace(config, weights="")).curve[0]["loss"]
+    moments = torch.load(tmp_path / "moments_0.pt", weights_only=True)
+    assert moments["net.1.weight"]["step"] == 40
+    assert moments["net.1.weight"]["exp_avg"].dtype == torch.bfloat16
+    optimizer = torch.optim.AdamW(rounded.parameters())
+    load_weights(tmp_path / "weights.pt", rounded, optimizer)
+    kept = torch.load(tmp_path / "checkpoint.pt", weights_only=True)["optimizer"]["state"][0]
+    state = optimizer.state[next(rounded.parameters())]
+    assert torch.allclose(state["exp_avg_sq"], kept["exp_avg_sq"], rtol=2**-8)
+    assert state["exp_avg_sq"].dtype == torch.float32
+    with pytest.raises(ConfigError, match="no weights of this network"):
+        trained(config=replace(config, weights=str(tmp_path / "curves.csv")))
+
+
 def test_the_time_given_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = itertools.count()  # a step takes a hundredth of a second
-    monkeypatch.setattr(training, "time", SimpleNamespace(perf_counter=lambda: 0.01 * next(clock)))
-    found = trained(config=TrainConfig(minutes=0.005, batch=8, checks=0))
+    monkeypatch.setattr(loop, "time", SimpleNamespace(perf_counter=lambda: 0.01 * next(clock)))
+    found = trained(config=Config(minutes=0.005, batch=8, checks=0))
     assert found.seconds == pytest.approx(0.3, abs=0.011)
     assert found.steps == pytest.approx(30, abs=1)
-    assert found.curve[-1]["lr"] < 0.1 * TrainConfig(minutes=1).lr
+    assert found.curve[-1]["lr"] < 0.1 * Config(minutes=1).lr
 
 
 def test_the_average_follows_the_weights() -> None:
-    last = trained(config=TrainConfig(steps=40, batch=8, lr=0.1, ema=0.0))
-    average = trained(config=TrainConfig(steps=40, batch=8, lr=0.1, ema=0.999))
+    last, average = trained(config=replace(CONFIG, ema=0.0)), trained(config=replace(CONFIG, ema=0.999))
     assert not same(last, average)
     assert torch.allclose(weight_of(last), weight_of(average), atol=0.5)
 
@@ -145,9 +171,10 @@ class Stream:
         self.known = state["known"]
 
 
-def test_a_stream_continues_where_it_stopped(tmp_path: Path) -> None:
+def test_a_stream_goes_on_where_it_stopped(tmp_path: Path) -> None:
     whole = train(LineLearner(), Stream(), CONFIG, device=CPU)
-    train(LineLearner(), Stream(), CONFIG, device=CPU, out=tmp_path, stop_after=9)
+    with pytest.raises(StoppedError):
+        train(LineLearner(), Stream(), CONFIG, device=CPU, out=tmp_path, check=interrupt)
     assert same(train(LineLearner(), Stream(), CONFIG, device=CPU, out=tmp_path), whole)
 
 
@@ -159,20 +186,21 @@ def test_the_learning_rate_rises_then_falls() -> None:
 
 
 def test_a_checkpoint_of_other_options_is_refused(tmp_path: Path) -> None:
-    trained(tmp_path, stop_after=3)
+    with pytest.raises(StoppedError):
+        trained(tmp_path, check=interrupt)
     with pytest.raises(ConfigError, match=r"with lr 0.1, not 0.2: give another folder"):
-        trained(tmp_path, config=TrainConfig(steps=40, batch=8, lr=0.2))
+        trained(tmp_path, config=replace(CONFIG, lr=0.2))
 
 
 def test_a_loss_that_is_not_finite_stops_the_training() -> None:
-    with pytest.raises(TrainingError, match="lower lr"):
-        trained(config=TrainConfig(steps=200, batch=8, lr=1e30, ema=0.0))
+    with pytest.raises(ConfigError, match="lower --lr"):
+        trained(config=Config(steps=200, batch=8, lr=1e30, ema=0.0))
 
 
 @pytest.mark.parametrize("options", [{}, {"steps": 1, "minutes": 1.0}, {"steps": 1, "batch": 0}])
 def test_invalid_options_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match="give"):
-        TrainConfig(**options)
+        Config(**options)
 
 
 def numbered(*numbers: int) -> Line:
@@ -224,3 +252,14 @@ def test_an_error_of_the_stream_is_raised() -> None:
     found = FreshPool(LineLearner(), numbered(0), stream, room=4)
     with pytest.raises(ValueError, match="no cloth"):
         advance_to(found, 2)
+
+
+def test_a_batch_takes_the_values_of_another_of_its_shapes() -> None:
+    """As a recorded step needs, whose tensors stay where they are."""
+    held, other = numbered(0, 1), numbered(2, 3)
+    place = held.x.data_ptr()
+    replace_tensors(held, other)
+    assert held.y.tolist() == [2, 3]
+    assert held.x.data_ptr() == place
+    with pytest.raises(ValueError, match="shapes"):
+        replace_tensors(held, numbered(1))

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, sin
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,11 +11,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from benchmarks.reconstruction.learners import Learner, TensorExamples
-from benchmarks.reconstruction.models.stitches import (
-    StitchConfig,
-    StitchNet,
-)
+from benchmarks.reconstruction.models import load_model
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
+from benchmarks.reconstruction.stitching.net import StitchConfig, StitchNet
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.tensors import encode_pattern
@@ -50,6 +49,13 @@ class LineLearner(Learner[Line, float]):
     def predict(self, batch: Line) -> list[float]:
         with torch.no_grad():
             return self.net(batch.x)[:, 0].tolist()
+
+
+def small(model: str, **sizes: float) -> Learner[Any, Any]:
+    """The network of the smallest training, with other sizes where given."""
+    module = load_model(model)
+    learner: Learner[Any, Any] = module.build({**module.SMALL, **sizes})
+    return learner
 
 
 # -------------------------------------------------------------------------------------------------------- sewn patterns

@@ -1,4 +1,4 @@
-"""The networks of task T2: what their batches hold, and that they learn from pictures."""
+"""The network of task T2: what their batches hold, and that they learn from pictures."""
 
 from dataclasses import replace
 from typing import Any
@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction import picture_model
 from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
 from benchmarks.reconstruction.design_codes import PARAMETERS, encode_design
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
-from benchmarks.reconstruction.models import load_model
+from benchmarks.reconstruction.models import picture_parameters
 from benchmarks.reconstruction.picture_model import MOST_GROWTH, MOST_SHIFT, MOST_TURN, STRIDE, PictureTokens, distorted
 from benchmarks.reconstruction.point_net import EncoderConfig
 from gcd_dataset.records import BodyPart
+from tests.benchmarks.reconstruction.toys import small
 
 CPU = torch.device("cpu")
 PATHS = [leaf.path for leaf in PARAMETERS]
@@ -31,22 +31,18 @@ def painted(six: GarmentSet) -> GarmentSet:
     return replace(six, ragged={**six.ragged, "pictures": Ragged.of(shades), "shown": Ragged.of(shown)})
 
 
-MODELS = ("picture_set", "picture_parameters")
-
-
-def learner(model: str = "picture_set", **sizes: int) -> Any:
+def learner(**sizes: int) -> Any:
     torch.manual_seed(0)
-    return load_model(model).build(smoke=True, options=sizes)
+    return small("picture_parameters", **sizes)
 
 
 def shades(pictures: torch.Tensor) -> list[int]:
     return pictures[0, :, 0, 0, 0].tolist()
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_each_step_draws_other_pictures(painted: GarmentSet, model: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture_model, "distorted", lambda pictures, shown, numbers: (pictures, shown))
-    examples = learner(model, views=3).prepare(painted, device=CPU)
+def test_each_step_draws_other_pictures(painted: GarmentSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(picture_parameters, "distorted", lambda pictures, shown, numbers: (pictures, shown))
+    examples = learner(views=3).prepare(painted, device=CPU)
     assert shades(examples.batch(torch.tensor([2])).pictures) == [20, 80, 140]
     drawn = [examples.batch(torch.tensor([2]), torch.Generator().manual_seed(k)).pictures for k in (1, 1, 2, 3, 4)]
     assert torch.equal(drawn[0], drawn[1])
@@ -56,7 +52,7 @@ def test_each_step_draws_other_pictures(painted: GarmentSet, model: str, monkeyp
 
 def test_mirrored_garments_have_mirrored_pictures(painted: GarmentSet, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every second one, with the labels of the other side and the parameters of the mirror image."""
-    monkeypatch.setattr(picture_model, "distorted", lambda pictures, shown, numbers: (pictures, shown))
+    monkeypatch.setattr(picture_parameters, "distorted", lambda pictures, shown, numbers: (pictures, shown))
     picture = np.zeros((PICTURES, PICTURE_SIZE, PICTURE_SIZE, 3), np.uint8)
     picture[:, :, :10] = 200
     shown = np.where(picture[..., 0] > 0, np.uint8(BodyPart.LEFT_ARM.value), np.uint8(FIRST_PANEL))
@@ -66,11 +62,7 @@ def test_mirrored_garments_have_mirrored_pictures(painted: GarmentSet, monkeypat
     designs = [code[None]] * 4 + [halves[None]] * (count - 4)
     ragged = {"pictures": [picture] * count, "shown": [shown] * count, "design": designs}
     made = replace(painted, ragged={**painted.ragged, **{name: Ragged.of(rows) for name, rows in ragged.items()}})
-    batch = (
-        learner("picture_parameters", augmented=1)
-        .prepare(made, device=CPU)
-        .batch(torch.arange(count), torch.Generator().manual_seed(0))
-    )
+    batch = learner(augmented=1).prepare(made, device=CPU).batch(torch.arange(count), torch.Generator().manual_seed(0))
     mirrored = batch.pictures[:, 0, 0, 0, 0] == 0
     assert 0 < mirrored[:4].sum() < 4
     assert not mirrored[4:].any()  # whose halves differ

@@ -1,0 +1,99 @@
+# Every run of the leaderboard, a line each: any line may be run alone, on any GPU (CUDA_VISIBLE_DEVICES=1 before it).
+# Garments are made by the first run that needs them (--make-only), and lie in runs/garments. A killed run goes on
+# where it stopped when its line is repeated. Fresh garments are drapes of a second GPU, cuda:1.
+# mkdir -p runs/freesewing && tar -xJf benchmarks/data/freesewing.tar.xz -C runs/freesewing
+TRAIN="python -m benchmarks.reconstruction.train"
+
+$TRAIN --model edge_tokens --task T0 --train 24000 --minutes 2 --checks 1 --drape --out runs/T0-edge_tokens
+$TRAIN --model panel_set --task T0 --train 24000 --minutes 2 --checks 1 --drape --out runs/T0-panel_set
+$TRAIN --model parameters --task T0 --train 1000 --minutes 2 --checks 1 --compile --drape --out runs/T0-sizes-1000
+$TRAIN --model parameters --task T0 --train 24000 --minutes 2 --checks 1 --compile --drape --out runs/T0-sizes-24000
+$TRAIN --model parameters --task T0 --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/T0-sizes-4000
+$TRAIN --model parameters --task T0 --train 4000 --steps 800 --checks 1 --compile --out runs/families-T0-all
+$TRAIN --model parameters --task T0 --train 4000 --leave-out dress --steps 800 --checks 1 --compile --out runs/families-T0-dress
+$TRAIN --model parameters --task T0 --train 4000 --leave-out jumpsuit --steps 800 --checks 1 --compile --out runs/families-T0-jumpsuit
+$TRAIN --model parameters --task T0 --train 4000 --leave-out pants --steps 800 --checks 1 --compile --out runs/families-T0-pants
+$TRAIN --model parameters --task T0 --train 4000 --leave-out skirt --steps 800 --checks 1 --compile --out runs/families-T0-skirt
+$TRAIN --model parameters --task T0 --train 4000 --leave-out upper_garment --steps 800 --checks 1 --compile --out runs/families-T0-upper_garment
+
+$TRAIN --model ceiling --task T1 --train 16000 --drape --out runs/T1-ceiling
+$TRAIN --model edge_tokens --task T1 --train 16000 --minutes 2 --drape --checks 1 --out runs/T1-16k-edge_tokens
+$TRAIN --model edge_tokens --task T1 --train 40000 --minutes 7 --checks 1 --compile --drape --out runs/T1-tokens
+$TRAIN --model nearest --task T1 --train 16000 --drape --out runs/T1-16k-nearest
+$TRAIN --model nearest --task T1 --train 40000 --drape --out runs/T1-nearest
+$TRAIN --model panel_set --task T1 --train 16000 --minutes 2 --drape --checks 1 --out runs/T1-16k-panel_set
+$TRAIN --model panel_set --task T1 --train 40000 --minutes 7 --checks 1 --compile --drape --out runs/T1-panels
+$TRAIN --model parameters --task T1 --train 1000 --minutes 3 --checks 1 --compile --drape --out runs/T1-sizes-1000
+$TRAIN --model parameters --task T1 --train 16000 --minutes 2 --checks 1 --drape --out runs/T1-sixteen-parameters
+$TRAIN --model parameters --task T1 --train 4000 --minutes 3 --checks 1 --compile --drape --out runs/T1-sizes-4000
+$TRAIN --model parameters --task T1 --train 4000 --steps 800 --checks 1 --compile --out runs/families-T1-all
+$TRAIN --model parameters --task T1 --train 4000 --fresh 65536 --minutes 3 --checks 1 --workers 15 --compile --make-device cuda:1 --drape --out runs/T1-fresh
+$TRAIN --model parameters --task T1 --train 4000 --leave-out dress --steps 800 --checks 1 --compile --out runs/families-T1-dress
+$TRAIN --model parameters --task T1 --train 4000 --leave-out jumpsuit --steps 800 --checks 1 --compile --out runs/families-T1-jumpsuit
+$TRAIN --model parameters --task T1 --train 4000 --leave-out pants --steps 800 --checks 1 --compile --out runs/families-T1-pants
+$TRAIN --model parameters --task T1 --train 4000 --leave-out skirt --steps 800 --checks 1 --compile --out runs/families-T1-skirt
+$TRAIN --model parameters --task T1 --train 4000 --leave-out upper_garment --steps 800 --checks 1 --compile --out runs/families-T1-upper_garment
+$TRAIN --model parameters --task T1 --set augmented=1 --train 40000 --minutes 7 --checks 1 --compile --drape --out runs/T1-long
+$TRAIN --model parameters --task T1 --set augmented=1 labelled=1 --train 40000 --minutes 7 --checks 1 --compile --drape --out runs/T1-labels
+$TRAIN --model parameters --task T1 --set augmented=1 labelled=1 seen=0 --train 40000 --minutes 7 --checks 1 --compile --drape --out runs/T1-labels_regions
+$TRAIN --model parameters --task T1 --set augmented=1 labelled=1 seen=0 points=8192 --train 40000 --minutes 7 --checks 1 --compile --drape --out runs/T1-labels_regions_points
+
+$TRAIN --model nearest --task T1-scan --train 4000 --drape --out runs/scan-reference
+$TRAIN --model parameters --task T1-scan --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/scan
+
+$TRAIN --model picture_parameters --task T2 --train 4000 --steps 700 --checks 1 --compile --out runs/families-T2-all
+$TRAIN --model picture_parameters --task T2 --train 4000 --leave-out dress --steps 700 --checks 1 --compile --out runs/families-T2-dress
+$TRAIN --model picture_parameters --task T2 --train 4000 --leave-out jumpsuit --steps 700 --checks 1 --compile --out runs/families-T2-jumpsuit
+$TRAIN --model picture_parameters --task T2 --train 4000 --leave-out pants --steps 700 --checks 1 --compile --out runs/families-T2-pants
+$TRAIN --model picture_parameters --task T2 --train 4000 --leave-out skirt --steps 700 --checks 1 --compile --out runs/families-T2-skirt
+$TRAIN --model picture_parameters --task T2 --train 4000 --leave-out upper_garment --steps 700 --checks 1 --compile --out runs/families-T2-upper_garment
+$TRAIN --model picture_parameters --task T2 --set augmented=1 --train 1000 --minutes 2 --checks 1 --compile --drape --out runs/T2-sizes-1000
+$TRAIN --model picture_parameters --task T2 --set augmented=1 --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/T2-sizes-4000
+$TRAIN --model picture_parameters --task T2 --set augmented=1 --train 4000 --fresh 20000 --minutes 2 --checks 1 --workers 15 --compile --make-device cuda:1 --drape --out runs/T2-fresh
+$TRAIN --model picture_parameters --task T2 --set augmented=1 --train 8000 --fresh 24000 --minutes 7 --checks 1 --workers 40 --compile --make-device cuda:1 --drape --out runs/T2-long
+$TRAIN --model picture_parameters --task T2 --set views=1 augmented=1 --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/T2-one_view
+$TRAIN --model typical --task T2 --train 4000 --drape --out runs/T2-reference
+
+$TRAIN --model stitches --task T3 --train 24000 --minutes 5.5 --workers 16 --examples runs/freesewing --out runs/T3
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 1000 --minutes 2.5 --checks 2 --compile --examples runs/freesewing --out runs/T3-1000
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 2.5 --checks 2 --compile --examples runs/freesewing --out runs/T3-24000
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 8 --checks 2 --compile --examples runs/freesewing --out runs/T3-long
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --steps 1500 --compile --examples runs/freesewing --out runs/families-T3-all
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --minutes 2.5 --checks 2 --compile --examples runs/freesewing --out runs/T3-4000
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out dress --steps 1500 --compile --examples runs/freesewing --out runs/families-T3-dress
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out jumpsuit --steps 1500 --compile --examples runs/freesewing --out runs/families-T3-jumpsuit
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out pants --steps 1500 --compile --examples runs/freesewing --out runs/families-T3-pants
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out skirt --steps 1500 --compile --examples runs/freesewing --out runs/families-T3-skirt
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out upper_garment --steps 1500 --compile --examples runs/freesewing --out runs/families-T3-upper_garment
+
+$TRAIN --model nearest_labels --task T4 --train 4000 --out runs/T4-reference
+$TRAIN --model segmentation --task T4 --train 4000 --minutes 2 --out runs/T4
+$TRAIN --model segmentation --task T4 --train 4000 --steps 600 --checks 1 --out runs/families-T4-all
+$TRAIN --model segmentation --task T4 --train 4000 --leave-out dress --steps 600 --checks 1 --out runs/families-T4-dress
+$TRAIN --model segmentation --task T4 --train 4000 --leave-out jumpsuit --steps 600 --checks 1 --out runs/families-T4-jumpsuit
+$TRAIN --model segmentation --task T4 --train 4000 --leave-out pants --steps 600 --checks 1 --out runs/families-T4-pants
+$TRAIN --model segmentation --task T4 --train 4000 --leave-out skirt --steps 600 --checks 1 --out runs/families-T4-skirt
+$TRAIN --model segmentation --task T4 --train 4000 --leave-out upper_garment --steps 600 --checks 1 --out runs/families-T4-upper_garment
+$TRAIN --model segmentation --task T4 --train 8000 --minutes 6 --checks 1 --out runs/T4-long
+
+$TRAIN --model mean_measures --task T5 --train 4000 --out runs/T5-reference-mean_measures
+$TRAIN --model measures --task T5 --train 4000 --steps 1000 --checks 1 --out runs/families-T5-all
+$TRAIN --model measures --task T5 --train 4000 --minutes 2 --checks 1 --out runs/T5-4k-measures
+$TRAIN --model measures --task T5 --train 4000 --leave-out dress --steps 1000 --checks 1 --out runs/families-T5-dress
+$TRAIN --model measures --task T5 --train 4000 --leave-out jumpsuit --steps 1000 --checks 1 --out runs/families-T5-jumpsuit
+$TRAIN --model measures --task T5 --train 4000 --leave-out pants --steps 1000 --checks 1 --out runs/families-T5-pants
+$TRAIN --model measures --task T5 --train 4000 --leave-out skirt --steps 1000 --checks 1 --out runs/families-T5-skirt
+$TRAIN --model measures --task T5 --train 4000 --leave-out upper_garment --steps 1000 --checks 1 --out runs/families-T5-upper_garment
+$TRAIN --model nearest_measures --task T5 --train 4000 --out runs/T5-reference-nearest_measures
+
+$TRAIN --model box_mesh --task T6 --train 4000 --out runs/T6-reference-box_mesh
+$TRAIN --model coarse_drape --task T6 --train 4000 --out runs/T6-reference-coarse_drape
+$TRAIN --model drape_surrogate --task T6 --train 1000 --minutes 2 --checks 1 --out runs/T6-sizes
+$TRAIN --model drape_surrogate --task T6 --train 4000 --minutes 2 --out runs/T6
+$TRAIN --model drape_surrogate --task T6 --train 4000 --steps 500 --checks 1 --out runs/families-T6-all
+$TRAIN --model drape_surrogate --task T6 --train 4000 --leave-out dress --steps 500 --checks 1 --out runs/families-T6-dress
+$TRAIN --model drape_surrogate --task T6 --train 4000 --leave-out jumpsuit --steps 500 --checks 1 --out runs/families-T6-jumpsuit
+$TRAIN --model drape_surrogate --task T6 --train 4000 --leave-out pants --steps 500 --checks 1 --out runs/families-T6-pants
+$TRAIN --model drape_surrogate --task T6 --train 4000 --leave-out skirt --steps 500 --checks 1 --out runs/families-T6-skirt
+$TRAIN --model drape_surrogate --task T6 --train 4000 --leave-out upper_garment --steps 500 --checks 1 --out runs/families-T6-upper_garment
+$TRAIN --model solver --task T6 --train 4000 --out runs/T6-reference-solver
