@@ -34,6 +34,8 @@ __all__ = [
     "Fit",
     "FitLabel",
     "Grade",
+    "InnerLine",
+    "LineRole",
     "Maps",
     "Measurements",
     "NamedFabric",
@@ -184,6 +186,28 @@ class Edge:
     """Name of the edge in its garment's program; not part of a specification file."""
 
 
+class LineRole(StrEnum):
+    """Purpose of a line inside a panel; the value is its label in files."""
+
+    FOLD = "fold"
+    PLACEMENT = "placement"
+    """Where another panel, or the line of another panel, is laid or sewn on: the centre front of a buttoned shirt."""
+    STITCH = "stitch"
+
+
+@dataclass(frozen=True, slots=True)
+class InnerLine:
+    """A line drawn inside a panel, from vertex ``start`` to vertex ``end``; each may be a corner of the outline."""
+
+    start: int
+    end: int
+    curve: Curve = LINE
+    role: LineRole | str = LineRole.STITCH
+    """A label in a file that matches no role stays a string."""
+    name: str = ""
+    """Name of the line in its garment's program; not part of a specification file."""
+
+
 @dataclass(frozen=True, eq=False)
 class Placement(Record):
     """Rigid placement of a panel in space before sewing: ``(x, y) -> R (x, y, 0) + translation``."""
@@ -225,10 +249,16 @@ class Panel(Record):
     placement: Placement
     label: PanelRole | str = ""
     """Part of the body that the panel covers, empty if unknown; a label that matches no role stays a string."""
+    lines: tuple[InnerLine, ...] = ()
+    """Lines inside the outline. They meet each other and the outline only in common vertices."""
+
+    def edge(self, index: int) -> Edge | InnerLine:
+        """Edge ``index``; after the edges come the lines, see ``EdgeRef``."""
+        return self.edges[index] if index < len(self.edges) else self.lines[index - len(self.edges)]
 
     def edge_ends(self, index: int) -> tuple[Point, Point]:
-        """Start and end point of edge ``index`` [cm]."""
-        edge = self.edges[index]
+        """Start and end point of edge ``index``, or of a line [cm]."""
+        edge = self.edge(index)
         (x0, y0), (x1, y1) = self.vertices[edge.start].tolist(), self.vertices[edge.end].tolist()
         return (x0, y0), (x1, y1)
 
@@ -237,10 +267,18 @@ class Panel(Record):
         corners: list[Point] = [(x, y) for x, y in self.vertices.tolist()]
         return [curve_length(corners[edge.start], corners[edge.end], edge.curve) for edge in self.edges]
 
+    def line_lengths(self) -> list[float]:
+        """Lengths of all lines [cm]. Raises ``PatternError`` as ``edge_lengths``."""
+        ends = [self.edge_ends(len(self.edges) + index) for index in range(len(self.lines))]
+        return [curve_length(*points, line.curve) for points, line in zip(ends, self.lines, strict=True)]
+
 
 @dataclass(frozen=True, slots=True)
 class EdgeRef:
-    """An edge of a pattern: panel name and index of the edge in the panel's loop."""
+    """An edge of a pattern: panel name and index of the edge in the panel's loop.
+
+    An index of ``len(panel.edges)`` or more is that of a line: ``Panel.edge`` takes both.
+    """
 
     panel: str
     edge: int
@@ -254,7 +292,7 @@ class Closure(StrEnum):
     """Not joined: the edges of a cardigan's fronts."""
     ZIP = "zip"
     BUTTONS = "buttons"
-    """The panel of ``left`` lies over that of ``right``; its edge is joined to the other edge all the same."""
+    """The panel of ``left`` lies over that of ``right``. Joined along two lines they overlap between line and edge."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +301,7 @@ class Seam:
 
     By default the right sides meet, so the start of ``left`` meets the end of ``right``; with ``right_wrong`` the
     starts meet, and one of the panels is sewn in wrong side out. Unequal lengths are gathered. An edge has the
-    direction of its panel's loop. Only this rule decides which ends meet; the placement of the panels does not
+    direction of its panel's loop, a line its own. Only this rule decides which ends meet; the placement of the panels does not
     (``check_pattern`` warns if the ends would be nearer when joined the other way).
     """
 
@@ -302,7 +340,7 @@ class Pattern(Record):
         1: a plain seam; above 1 the left edge is gathered or eased onto the right one, below 1 the right onto the left.
         A seam of a missing edge, or of one without length, counts as plain: ``check_pattern`` reports it.
         """
-        lengths = {panel.name: panel.edge_lengths() for panel in self.panels}
+        lengths = {panel.name: [*panel.edge_lengths(), *panel.line_lengths()] for panel in self.panels}
 
         def length(ref: EdgeRef) -> float:
             edges = lengths.get(ref.panel, ())

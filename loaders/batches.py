@@ -19,10 +19,10 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item, UnknownKeyError, as_type, require_float_dtype, tensor_of
 from gcd_dataset.loaders.shards import StoredItems
 from gcd_dataset.loaders.worker import naming_full, sent, unwrap
-from gcd_dataset.tensors import EdgeColumn, StitchColumn
+from gcd_dataset.tensors import EdgeColumn, LineColumn, StitchColumn
 
 RAGGED = (
-    "panels", "edges", "stitches", "closures", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex",
+    "panels", "edges", "stitches", "closures", "lines", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex",
     "box", "verts", "stretch", "gap", "pressure", "panel_corners", "panel_corner_pixels", "panel_corner_visible",
 )  # fmt: skip
 """Fields with a different number of rows in each garment."""
@@ -35,6 +35,7 @@ POINTS_TO: Mapping[str, tuple[tuple[slice, str], ...]] = {
     "seams": ((slice(0, 1), "vertices"), (slice(1, 2), "stitches")),
     "corners": ((WHOLE, "uv"),),
     "panel_id": ((WHOLE, "panels"),),
+    "lines": ((slice(LineColumn.PANEL, LineColumn.PANEL + 1), "panels"),),
     "edges": ((slice(EdgeColumn.PANEL, EdgeColumn.PANEL + 1), "panels"),),
     "stitches": ((slice(StitchColumn.LEFT, StitchColumn.RIGHT + 1), "edges"),),
 }
@@ -84,6 +85,7 @@ class _Batch(dict[str, Any]):
     edges: Float[Tensor, "*b e 13"] = _entry()
     stitches: Int[Tensor, "*b s 3"] = _entry()
     closures: Float[Tensor, "*b s 3"] = _entry()
+    lines: Float[Tensor, "*b n 16"] = _entry()
     faces: Int[Tensor, "*b f 3"] = _entry()
     panel_id: Int[Tensor, "*b f"] = _entry()
     corners: Int[Tensor, "*b f 3"] = _entry()

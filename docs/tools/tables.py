@@ -48,14 +48,14 @@ DOCUMENTS = (
 """Documents with generated parts."""
 
 ROWS: Mapping[str, str] = {
-    "panels": "p", "edges": "e", "stitches": "s", "closures": "s", "body": "k", "faces": "f", "uv": "c",
+    "panels": "p", "edges": "e", "stitches": "s", "closures": "s", "lines": "n", "body": "k", "faces": "f", "uv": "c",
     "panel_id": "f", "labels": "l", "seams": "m", "corners": "f", "uv_vertex": "c", "box": "v", "verts": "v",
     "points": "n",
 }  # fmt: skip
 """Field to the letter of its first axis."""
 UNITS: Mapping[str, str] = {
     "meta": "", "spec": "cm, degrees", "design": "1", "measures": "cm, degrees", "panels": "cm, rad, rows",
-    "edges": "cm, rows", "stitches": "rows", "closures": "1", "body": "standard deviations", "faces": "rows",
+    "edges": "cm, rows", "stitches": "rows", "closures": "1", "lines": "cm, rows", "body": "standard deviations", "faces": "rows",
     "uv": "cm", "panel_id": "rows", "labels": "rows", "seams": "rows", "corners": "rows", "uv_vertex": "rows",
     "box": "cm", "verts": "cm", "points": "cm, 1", "front": "sRGB", "back": "sRGB",
 }  # fmt: skip

@@ -54,7 +54,7 @@ from tests.shards.people import fill as people_in_shards
 
 COUNT = 4
 FIRST = 3  # number of the first stored sample, so that keys differ from positions
-PATTERN = ("meta", "spec", "design", "measures", "panels", "edges", "stitches", "closures", "body")
+PATTERN = ("meta", "spec", "design", "measures", "panels", "edges", "stitches", "closures", "lines", "body")
 DRAPED = ("verts", "front", "back")
 
 

@@ -85,7 +85,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptio
 
 COUNT = 3
 ARRAYS = {
-    "panels", "edges", "stitches", "closures", "body", "faces", "uv", "panel_id", "labels", "seams", "corners",
+    "panels", "edges", "stitches", "closures", "lines", "body", "faces", "uv", "panel_id", "labels", "seams", "corners",
     "uv_vertex", "box", "verts", "points",
 }  # fmt: skip
 
