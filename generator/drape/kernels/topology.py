@@ -2,7 +2,7 @@
 
 Rest lengths and hinges come from the flat corner coordinates, whatever the placement of the panels. Sides
 (``3 face + corner``, from that corner to the next) are sorted by their two vertices, so the sides of an edge are
-adjacent. Where more than two panels meet along an edge, its first two faces form the hinge.
+adjacent. Where more than two faces meet along an edge, the first two of one panel form the hinge, or the first two.
 """
 
 import warp as wp
@@ -108,6 +108,36 @@ def flat_area(flat: wp.array2d(dtype=wp.vec2d), f: int) -> wp.float64:
     return wp.float64(0.5) * wp.abs(out[0] * back[1] - out[1] * back[0])
 
 
+@wp.func
+def flat_end(surface: ClothSurface, side: int, vertex: int) -> wp.vec2d:
+    """The flat coordinates of an end of a side."""
+    f = side // 3
+    corner = side % 3
+    if surface.faces[f][corner] != vertex:
+        corner = (corner + 1) % 3
+    return surface.flat[f, corner]
+
+
+@wp.func
+def hinge_of(
+    surface: ClothSurface, keys: wp.array(dtype=wp.int64), sides: wp.array(dtype=int), first: int, low: int, high: int
+) -> wp.vec2i:
+    """The places of the two sides of a hinge among the sorted sides; both layers on a line have four sides there."""
+    end = int(first)
+    while end < keys.shape[0]:
+        if keys[end] != keys[first]:
+            break
+        end += 1
+    if end > first + 2:
+        for i in range(first, end):
+            for j in range(i + 1, end):
+                at_low = flat_end(surface, sides[i], low) - flat_end(surface, sides[j], low)
+                at_high = flat_end(surface, sides[i], high) - flat_end(surface, sides[j], high)
+                if wp.length_sq(at_low) + wp.length_sq(at_high) == wp.float64(0.0):
+                    return wp.vec2i(i, j)
+    return wp.vec2i(first, first + 1)
+
+
 @wp.kernel
 def describe_edges(
     # model
@@ -146,6 +176,7 @@ def describe_edges(
     share = wp.float64(0.0)
     sheet = sheets[vertex_world[low]]
     met = int(0)
+    hinge = hinge_of(surface, keys, sides, s, low, high)
     at = int(s)
     while at < keys.shape[0]:
         if keys[at] != keys[s]:
@@ -158,7 +189,7 @@ def describe_edges(
             stiffness += springs_of(surface.flat, f, sheet)[corner, corner] * flat_area(surface.flat, f) / length_sq
         else:
             stiffness += flat_area(surface.flat, f) / length_sq
-        if met < 2:
+        if at == hinge[0] or at == hinge[1]:
             share += wp.float64(0.5) * bend_share(surface.flat, f, corner)
             across[met] = surface.faces[f][(corner + 2) % 3]
             here = cotangent(surface.flat, f, corner)
@@ -169,7 +200,7 @@ def describe_edges(
             else:
                 ends += wp.vec2d(here, there)
             area += flat_area(surface.flat, f)
-        met += 1
+            met += 1
         at += 1
     surface.opposite[e] = across
     hinges.spring[e] = wp.vec3(float(stiffness), float(shortest), wp.length(start[high] - start[low]))
