@@ -2,7 +2,8 @@
 
 Rest lengths and hinges come from the flat corner coordinates, whatever the placement of the panels. Sides
 (``3 face + corner``, from that corner to the next) are sorted by their two vertices, so the sides of an edge are
-adjacent. Where more than two faces meet along an edge, the first two of one panel form the hinge, or the first two.
+adjacent. Where more than two panels meet along an edge, its first two faces form the hinge. Where panels are sewn to
+each other along lines, each panel has an edge of its own between the same two vertices, with its own hinge.
 """
 
 import warp as wp
@@ -66,15 +67,67 @@ def key_sides(
     sides[side] = side
 
 
+@wp.func
+def flat_end(surface: ClothSurface, side: int, vertex: int) -> wp.vec2d:
+    """The flat coordinates of an end of a side."""
+    f = side // 3
+    corner = side % 3
+    if surface.faces[f][corner] != vertex:
+        corner = (corner + 1) % 3
+    return surface.flat[f, corner]
+
+
+@wp.func
+def in_one_panel(surface: ClothSurface, one: int, other: int) -> bool:
+    """Whether two sides between the same vertices are one segment in the plane of one panel."""
+    apart = wp.float64(0.0)
+    for end in range(2):
+        vertex = surface.faces[one // 3][(one % 3 + end) % 3]
+        apart += wp.length_sq(flat_end(surface, one, vertex) - flat_end(surface, other, vertex))
+    return apart == wp.float64(0.0)
+
+
+@wp.func
+def swap(sides: wp.array(dtype=int), i: int, j: int):
+    side = sides[i]
+    sides[i] = sides[j]
+    sides[j] = side
+
+
 @wp.kernel
 def mark_firsts(
+    surface: ClothSurface,
     keys: wp.array(dtype=wp.int64),
+    # in and out
+    sides: wp.array(dtype=int),
     # out
     firsts: wp.array(dtype=int),
 ):
-    """1 at the first side of each edge among the sorted sides, else 0."""
+    """1 at the first side of each edge among the sorted sides, else 0; pairs of sides in one panel come first."""
     s = wp.tid()
-    firsts[s] = int(s == 0 or keys[s] != keys[wp.max(s - 1, 0)])
+    if s > 0 and keys[s] == keys[wp.max(s - 1, 0)]:
+        return
+    end = int(s)
+    while end < keys.shape[0]:
+        if keys[end] != keys[s]:
+            break
+        firsts[end] = 0
+        end += 1
+    placed = int(s)
+    if end > s + 2:
+        for i in range(s, end):
+            partner = int(-1)
+            if i >= placed:
+                for j in range(i + 1, end):
+                    if partner < 0 and in_one_panel(surface, sides[i], sides[j]):
+                        partner = j
+            if partner >= 0:
+                swap(sides, placed, i)
+                swap(sides, placed + 1, partner)
+                firsts[placed] = 1
+                placed += 2
+    if placed < end:
+        firsts[placed] = 1
 
 
 @wp.kernel
@@ -108,36 +161,6 @@ def flat_area(flat: wp.array2d(dtype=wp.vec2d), f: int) -> wp.float64:
     return wp.float64(0.5) * wp.abs(out[0] * back[1] - out[1] * back[0])
 
 
-@wp.func
-def flat_end(surface: ClothSurface, side: int, vertex: int) -> wp.vec2d:
-    """The flat coordinates of an end of a side."""
-    f = side // 3
-    corner = side % 3
-    if surface.faces[f][corner] != vertex:
-        corner = (corner + 1) % 3
-    return surface.flat[f, corner]
-
-
-@wp.func
-def hinge_of(
-    surface: ClothSurface, keys: wp.array(dtype=wp.int64), sides: wp.array(dtype=int), first: int, low: int, high: int
-) -> wp.vec2i:
-    """The places of the two sides of a hinge among the sorted sides; both layers on a line have four sides there."""
-    end = int(first)
-    while end < keys.shape[0]:
-        if keys[end] != keys[first]:
-            break
-        end += 1
-    if end > first + 2:
-        for i in range(first, end):
-            for j in range(i + 1, end):
-                at_low = flat_end(surface, sides[i], low) - flat_end(surface, sides[j], low)
-                at_high = flat_end(surface, sides[i], high) - flat_end(surface, sides[j], high)
-                if wp.length_sq(at_low) + wp.length_sq(at_high) == wp.float64(0.0):
-                    return wp.vec2i(i, j)
-    return wp.vec2i(first, first + 1)
-
-
 @wp.kernel
 def describe_edges(
     # model
@@ -162,7 +185,7 @@ def describe_edges(
     s = wp.tid()
     e = number[s] - 1
     surface.side_edge[sides[s]] = e
-    if s > 0 and keys[s] == keys[wp.max(s - 1, 0)]:
+    if s > 0 and number[s] == number[wp.max(s - 1, 0)]:
         return
     low = int(keys[s] / wp.int64(4294967296))
     high = int(keys[s] % wp.int64(4294967296))
@@ -176,10 +199,9 @@ def describe_edges(
     share = wp.float64(0.0)
     sheet = sheets[vertex_world[low]]
     met = int(0)
-    hinge = hinge_of(surface, keys, sides, s, low, high)
     at = int(s)
-    while at < keys.shape[0]:
-        if keys[at] != keys[s]:
+    while at < number.shape[0]:
+        if number[at] != number[s]:
             break
         f = sides[at] // 3
         corner = sides[at] % 3
@@ -189,7 +211,7 @@ def describe_edges(
             stiffness += springs_of(surface.flat, f, sheet)[corner, corner] * flat_area(surface.flat, f) / length_sq
         else:
             stiffness += flat_area(surface.flat, f) / length_sq
-        if at == hinge[0] or at == hinge[1]:
+        if met < 2:
             share += wp.float64(0.5) * bend_share(surface.flat, f, corner)
             across[met] = surface.faces[f][(corner + 2) % 3]
             here = cotangent(surface.flat, f, corner)
@@ -200,7 +222,7 @@ def describe_edges(
             else:
                 ends += wp.vec2d(here, there)
             area += flat_area(surface.flat, f)
-            met += 1
+        met += 1
         at += 1
     surface.opposite[e] = across
     hinges.spring[e] = wp.vec3(float(stiffness), float(shortest), wp.length(start[high] - start[low]))
