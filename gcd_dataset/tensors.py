@@ -472,7 +472,11 @@ def _require_sound(tensor: PatternTensor) -> None:
         )
     most_vertices = len(tensor.edges) + 2 * len(tensor.lines)
     numbered = (
-        (tensor.stitches[:, : StitchColumn.RIGHT + 1], len(tensor.edges) + len(tensor.lines), "stitches refer to edges"),
+        (
+            tensor.stitches[:, : StitchColumn.RIGHT + 1],
+            len(tensor.edges) + len(tensor.lines),
+            "stitches refer to edges",
+        ),
         (tensor.closures[:, ClosureColumn.KIND], len(CLOSURES), "closures refer to kinds"),
         (tensor.panels[:, PanelColumn.LABEL], len(tensor.panel_labels), "panels refer to labels"),
         (tensor.edges[:, EdgeColumn.LABEL], len(tensor.edge_labels), "edges refer to labels"),

@@ -30,7 +30,14 @@ from gcd_dataset.generator.mesh.stitch import (
     seam_name,
     stitch_points,
 )
-from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline, flat_areas, lattice_size
+from gcd_dataset.generator.mesh.triangulate import (
+    Filling,
+    Fillings,
+    barycentric,
+    fill_outline,
+    flat_areas,
+    lattice_size,
+)
 from gcd_dataset.records import BoxMesh, Closure, EdgeRef, Panel, Pattern, Seam
 
 SAMPLES = 17  # points of an edge, for the sign of a loop's area
@@ -125,7 +132,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
     _require_faces(faces[proper], vertex, panels, pattern)
     corners = _in_order(corners[proper])
     return BoxMesh(
-        vertices=mean_positions(_layered(panels, pattern, edges), vertex),
+        vertices=mean_positions(_layered(panels, pattern, edges, vertex), vertex),
         faces=vertex[corners],
         uv=panels.uv,
         corners=corners,
@@ -148,6 +155,10 @@ class _MeshedPanels:
     panel_of_point: Int[np.ndarray, " c"]
     borders: tuple[Border, ...]
     first: Int[np.ndarray, " p"]  # the first point of each panel
+
+    def points_of(self, panel: int) -> Int[np.ndarray, " n"]:
+        """The points of a panel."""
+        return np.flatnonzero(self.panel_of_point == panel)
 
     def edges(self, pattern: Pattern) -> dict[EdgeRef, Int[np.ndarray, " n"]]:
         """The points of every edge, from start to end."""
@@ -179,28 +190,48 @@ def _mesh_panels(pattern: Pattern, spacing: float) -> _MeshedPanels:
 
 
 def _layered(
-    panels: _MeshedPanels, pattern: Pattern, edges: Mapping[EdgeRef, Int[np.ndarray, " n"]]
+    panels: _MeshedPanels,
+    pattern: Pattern,
+    edges: Mapping[EdgeRef, Int[np.ndarray, " n"]],
+    vertex: Int[np.ndarray, " c"],
 ) -> Float[np.ndarray, "c 3"]:
     """The positions, where buttons join two lines moved along the panels' normals, so that no layer starts in another.
 
-    Of each panel the smaller part beyond the line is moved by ``LAYERS``, the line by half of it, and the cloth before
-    the line by less the further it is, down to nothing as far from it as the other end of the smaller part.
+    Of each panel the extension, the smaller part beyond the line, is moved by ``LAYERS``, the line by half of it, and
+    the cloth before the line by less the further it is, down to nothing at the extension's width. Then the extension
+    follows the cloth under it that seams draw aside, as to a collar.
     """
-    names, positions = [panel.name for panel in pattern.panels], panels.positions.copy()
+    number = {panel.name: row for row, panel in enumerate(pattern.panels)}
+    positions, extensions = panels.positions.copy(), []
     for seam in pattern.seams:
         if seam.closure != Closure.BUTTONS:
             continue
-        for side, outwards in ((seam.left, LAYERS), (seam.right, -LAYERS)):
-            number = names.index(side.panel)
-            panel, own = pattern.panels[number], np.flatnonzero(panels.panel_of_point == number)
+        for side, other, outwards in ((seam.left, seam.right, LAYERS), (seam.right, seam.left, -LAYERS)):
+            panel, own = pattern.panels[number[side.panel]], panels.points_of(number[side.panel])
             if side.edge < len(panel.edges):
                 continue
             line = shapely.LineString(panels.uv[edges[side]])
-            cut = shapely.ops.split(shapely.Polygon(panels.borders[number].points), line).geoms
-            flap, points = min(cut, key=lambda part: part.area), shapely.points(panels.uv[own])
-            beyond = shapely.distance(line, points) * np.where(shapely.intersects(flap, points), 1.0, -1.0)
+            parts = shapely.ops.split(shapely.Polygon(panels.borders[number[side.panel]].points), line).geoms
+            smaller, points = min(parts, key=lambda part: part.area), shapely.points(panels.uv[own])
+            beyond = shapely.distance(line, points) * np.where(shapely.intersects(smaller, points), 1.0, -1.0)
             share = np.clip(0.5 + 0.5 * beyond / beyond.max(), 0.0, 1.0)
             positions[own] += outwards * share[:, None] * panel.placement.matrix[:, 2]
+            extensions.append((own[beyond > TOUCH], number[other.panel]))
+    if not extensions:
+        return positions
+    drawn = mean_positions(positions, vertex)[vertex] - positions
+    for own, other in extensions:
+        faces, placement = (
+            panels.corners[panels.panel_of_point[panels.corners[:, 0]] == other],
+            pattern.panels[other].placement,
+        )
+        under = (panels.positions[own] - placement.translation) @ placement.matrix[:, :2]
+        tree = shapely.STRtree(shapely.polygons(panels.uv[faces]))
+        rows, found = tree.query(shapely.points(under), "intersects")
+        rows, first = np.unique(rows, return_index=True)
+        faces = faces[found[first]]
+        weights = barycentric(panels.uv, faces, under[rows])
+        positions[own[rows]] += np.einsum("kn,nkd->nd", weights, drawn[faces])
     return positions
 
 

@@ -24,7 +24,11 @@ BETWEEN = np.array([[1.0 - 1e-6, 1e-6], [1e-6, 1.0 - 1e-6]])  # weights of the e
 
 
 def fill_regions(
-    points: Float[np.ndarray, "n 2"], outline: int, lines: Iterable[Int[np.ndarray, " m"]], spacing: float, cache: Fillings
+    points: Float[np.ndarray, "n 2"],
+    outline: int,
+    lines: Iterable[Int[np.ndarray, " m"]],
+    spacing: float,
+    cache: Fillings,
 ) -> Filling:
     """The points, then seeds [cm], and triangles with the winding of the outline; segments of the lines are edges.
 
