@@ -6,7 +6,7 @@ meshed, and the fault may be intended (gathers), but it is typical of broken pat
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum, StrEnum
 from itertools import islice
 from math import dist, hypot, isclose, log
@@ -164,7 +164,7 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
     for number, fault in (*crossings, *_small_panels(pattern.panels, simple), *lined):
         faults[number].append(fault)
     if sound := [number for number in simple if pattern.panels[number].lines and not faults[number]]:
-        edge_lengths |= {n: edge_lengths[n] + pattern.panels[n].line_lengths() for n in sound}
+        edge_lengths |= {number: pattern.panels[number].lengths() for number in sound}
     lengths = {
         EdgeRef(pattern.panels[number].name, index): length
         for number, edges in edge_lengths.items()
@@ -341,8 +341,8 @@ def _line_faults(panel: Panel) -> Iterator[Fault]:
     drawn: list[tuple[int, InnerLine, shapely.LineString]] = []
     for number, line in enumerate(panel.lines):
         try:
-            [length] = replace(panel, lines=(line,)).line_lengths()
             ends = panel.edge_ends(len(panel.edges) + number)
+            length = curve_length(*ends, line.curve)
         except (IndexError, PatternError):
             length = 0.0
         if min(line.start, line.end) < 0 or not length:

@@ -267,10 +267,10 @@ class Panel(Record):
         corners: list[Point] = [(x, y) for x, y in self.vertices.tolist()]
         return [curve_length(corners[edge.start], corners[edge.end], edge.curve) for edge in self.edges]
 
-    def line_lengths(self) -> list[float]:
-        """Lengths of all lines [cm]. Raises ``PatternError`` as ``edge_lengths``."""
-        ends = [self.edge_ends(len(self.edges) + index) for index in range(len(self.lines))]
-        return [curve_length(*points, line.curve) for points, line in zip(ends, self.lines, strict=True)]
+    def lengths(self) -> list[float]:
+        """Lengths of all edges, then of all lines [cm]. Raises ``PatternError`` as ``edge_lengths``."""
+        lines = range(len(self.edges), len(self.edges) + len(self.lines))
+        return self.edge_lengths() + [curve_length(*self.edge_ends(i), self.edge(i).curve) for i in lines]
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,8 +301,8 @@ class Seam:
 
     By default the right sides meet, so the start of ``left`` meets the end of ``right``; with ``right_wrong`` the
     starts meet, and one of the panels is sewn in wrong side out. Unequal lengths are gathered. An edge has the
-    direction of its panel's loop, a line its own. Only this rule decides which ends meet; the placement of the panels does not
-    (``check_pattern`` warns if the ends would be nearer when joined the other way).
+    direction of its panel's loop, a line its own. Only this rule decides which ends meet; the placement of the panels
+    does not (``check_pattern`` warns if the ends would be nearer when joined the other way).
     """
 
     left: EdgeRef
@@ -340,7 +340,7 @@ class Pattern(Record):
         1: a plain seam; above 1 the left edge is gathered or eased onto the right one, below 1 the right onto the left.
         A seam of a missing edge, or of one without length, counts as plain: ``check_pattern`` reports it.
         """
-        lengths = {panel.name: [*panel.edge_lengths(), *panel.line_lengths()] for panel in self.panels}
+        lengths = {panel.name: panel.lengths() for panel in self.panels}
 
         def length(ref: EdgeRef) -> float:
             edges = lengths.get(ref.panel, ())

@@ -31,8 +31,8 @@ Fault = tuple[Check, str]
 """A check, and the fault in words without figures of the garment: equal faults are counted together."""
 
 FIELDS_READ = (
-    "meta", "spec", "design", "measures", "panels", "edges", "stitches", "closures", "lines", "body", "faces", "uv", "panel_id",
-    "seams", "corners", "uv_vertex", "box", "verts", "points",
+    "meta", "spec", "design", "measures", "panels", "edges", "stitches", "closures", "lines", "body", "faces", "uv",
+    "panel_id", "seams", "corners", "uv_vertex", "box", "verts", "points",
 )  # fmt: skip
 """The fields that are examined; pictures and captions are not."""
 ARRAYS = tuple(field for field in FIELDS_READ if field not in ("meta", "spec", "design", "measures"))

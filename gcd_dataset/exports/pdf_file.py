@@ -375,6 +375,9 @@ def _draw_piece(canvas: Any, piece: CutPiece, size: str) -> None:
     for fold in piece.folds:
         _draw_fold(canvas, fold)
     canvas.setLineWidth(GRAIN_WIDTH)
+    for line in piece.lines:
+        for start, end in pairwise(line.tolist()):
+            canvas.line(*start, *end)
     _arrow(canvas, *piece.grain)
     _arrow(canvas, *piece.grain[::-1])
     x, y = (0.98 * piece.cut[np.linalg.norm(piece.cut, axis=1).argmax()]).tolist()

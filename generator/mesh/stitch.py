@@ -36,7 +36,7 @@ class Border:
 
 
 def edge_counts(pattern: Pattern, spacing: float) -> dict[EdgeRef, int]:
-    """Number of points on each edge and line, ends included: ``ceil(length / spacing) + 1`` of the longer side of its seam.
+    """Number of points on each edge and line, ends included: ``ceil(length / spacing) + 1`` of its seam's longer side.
 
     Raises ``MeshError`` for an edge without a finite length, an edge in two seams, and a seam of a missing edge.
     """

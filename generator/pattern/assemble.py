@@ -190,7 +190,6 @@ def _with_lines(
 ) -> tuple[Float[np.ndarray, "v 2"], tuple[InnerLine, ...]]:
     """The corners with the further ends of the lines, and the lines; ends that meet a corner take its number."""
     points: list[Point] = [(x, y) for x, y in corners.tolist()]
-    lines = []
 
     def number(point: Point) -> int:
         near = next((i for i, known in enumerate(points) if dist(known, point) <= CLOSED), None)
@@ -198,6 +197,7 @@ def _with_lines(
             points.append(point)
         return len(points) - 1 if near is None else near
 
-    for stroke in inner:
-        lines.append(InnerLine(number(stroke.start), number(stroke.end), stroke.curve, stroke.label, stroke.name))
-    return np.array(points), tuple(lines)
+    lines = tuple(
+        InnerLine(number(stroke.start), number(stroke.end), stroke.curve, stroke.label, stroke.name) for stroke in inner
+    )
+    return np.array(points), lines
