@@ -6,9 +6,9 @@ A record holds read-only views of its arrays; records compare by value.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum, StrEnum
-from math import cos, nan, sin
+from math import cos, inf, nan, sin
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -348,6 +348,16 @@ class Pattern(Record):
 
         pairs = ((length(seam.left), length(seam.right)) for seam in self.seams)
         return tuple(round(left / right, 4) if left and right else 1.0 for left, right in pairs)
+
+    def without_lines(self) -> Self:
+        """The pattern without lines and their seams, for forms that hold edges alone."""
+        edges = {panel.name: len(panel.edges) for panel in self.panels if panel.lines}
+        if not edges:
+            return self
+        panels = tuple(replace(panel, lines=()) for panel in self.panels)
+        sides = ((seam, (seam.left, seam.right)) for seam in self.seams)
+        kept = tuple(seam for seam, both in sides if all(ref.edge < edges.get(ref.panel, inf) for ref in both))
+        return replace(self, panels=panels, seams=kept)
 
     def _repr_html_(self) -> str:
         from gcd_dataset.viewer.notebook import pattern_html

@@ -7,7 +7,7 @@ region a simple polygon.
 
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
-from math import ceil
+from math import ceil, isclose
 
 import numpy as np
 import shapely
@@ -20,6 +20,7 @@ from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline
 
 Segment = tuple[int, int]
+SAME_AREA = 1e-6  # relative: of all regions together, and of the outline
 BETWEEN = np.array([[1.0 - 1e-6, 1e-6], [1e-6, 1.0 - 1e-6]])  # weights of the ends: a bridge without its own ends
 
 
@@ -38,10 +39,13 @@ def fill_regions(
     segments: list[Segment] = [(k, (k + 1) % outline) for k in range(outline)]
     segments += [(a, b) for line in lines for a, b in pairwise(line.tolist())]
     points, segments = _bridged(points, segments, spacing)
-    turned = signed_area(points[:outline]) < 0.0
-    found, faces = [points], []
+    area, loops = signed_area(points[:outline]), list(_regions(points, segments))
+    odd = next((loop for loop in loops if not shapely.Polygon(points[loop]).is_valid), None)
+    if odd is not None or not isclose(sum(signed_area(points[loop]) for loop in loops), abs(area), rel_tol=SAME_AREA):
+        raise _crossing(points[outline if odd is None else odd[0]])
+    turned, found, faces = area < 0.0, [points], []
     size = len(points)
-    for loop in _regions(points, segments):
+    for loop in loops:
         loop = loop[::-1] if turned else loop
         filled, triangles = fill_outline(points[loop], spacing, cache)
         number = np.concatenate([loop, np.arange(size, size + len(filled) - len(loop))])
@@ -130,5 +134,9 @@ def _nearest(
         between = BETWEEN @ points[[a, b]]
         if not len(tree.query(shapely.LineString(between), "intersects")):
             return a, b
-    x, y = points[inside[0]]
-    raise MeshError(f"the line at ({x:.2f}, {y:.2f}) cm meets the outline or another line: move them apart")
+    raise _crossing(points[inside[0]])
+
+
+def _crossing(point: Float[np.ndarray, "2"]) -> MeshError:
+    x, y = point.tolist()
+    return MeshError(f"a line near ({x:.2f}, {y:.2f}) cm meets the outline or another line: part them")

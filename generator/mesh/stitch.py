@@ -95,7 +95,7 @@ def _sample_lines(
 ) -> tuple[Float[np.ndarray, "m 2"], tuple[Int[np.ndarray, " l"], ...]]:
     """The points of lines off the outline, numbered from ``total``, and the points of each line.
 
-    ``place``: vertex to its point on the outline. Raises ``MeshError`` for a line to a missing vertex.
+    ``place``: vertex to its point on the outline.
     """
     inner: list[Float[np.ndarray, "k 2"]] = [np.zeros((0, 2))]
     lines = []
@@ -106,8 +106,6 @@ def _sample_lines(
         return list(range(end - len(points), end))
 
     for index, line in enumerate(panel.lines, len(panel.edges)):
-        if not 0 <= min(line.start, line.end) <= max(line.start, line.end) < len(panel.vertices):
-            raise MeshError(f"panel {panel.name}, line {index - len(panel.edges)}: no such vertex; correct its ends")
         for vertex in (line.start, line.end):
             if vertex not in place:
                 [place[vertex]] = added(panel.vertices[[vertex]])
