@@ -5,7 +5,7 @@ regions. Where a line ends inside the panel, or lies apart from the outline, bri
 region a simple polygon.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from math import ceil, isclose
 
@@ -27,7 +27,7 @@ BETWEEN = np.array([[1.0 - 1e-6, 1e-6], [1e-6, 1.0 - 1e-6]])  # weights of the e
 def fill_regions(
     points: Float[np.ndarray, "n 2"],
     outline: int,
-    lines: Iterable[Int[np.ndarray, " m"]],
+    lines: Sequence[Int[np.ndarray, " m"]],
     spacing: float,
     cache: Fillings,
 ) -> Filling:
@@ -42,7 +42,7 @@ def fill_regions(
     area, loops = signed_area(points[:outline]), list(_regions(points, segments))
     odd = next((loop for loop in loops if not shapely.Polygon(points[loop]).is_valid), None)
     if odd is not None or not isclose(sum(signed_area(points[loop]) for loop in loops), abs(area), rel_tol=SAME_AREA):
-        raise _crossing(points[outline if odd is None else odd[0]])
+        raise _crossing(points[lines[0][0] if odd is None else odd[0]])
     turned, found, faces = area < 0.0, [points], []
     size = len(points)
     for loop in loops:
