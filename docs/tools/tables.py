@@ -32,7 +32,7 @@ from gcd_dataset.shards import encode_sample, meta, notes
 from gcd_dataset.shards.codec import WIDTHS
 from gcd_dataset.shards.layout import FIELDS
 from gcd_dataset.shards.sections import unpack
-from gcd_dataset.tensors import CLOSURES, COLUMNS, CurveKind
+from gcd_dataset.tensors import CLOSURES, COLUMNS, LINE_ROLES, CurveKind
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = (
@@ -131,8 +131,11 @@ def columns_table() -> str:
         rows = [(str(column.value), f"`{column.name}`", docs.get(column.name, "")) for column in columns]
         parts += [f"**`{name}`** (`{columns.__name__}`)", table(("column", "name", "holds"), rows)]
     kinds = ", ".join(f"{kind.value} {_words(kind)}" for kind in CurveKind)
-    closures = ", ".join(f"{number} {closure}" for number, closure in enumerate(CLOSURES))
-    kinds = f"`EdgeColumn.KIND` is one of `CurveKind`: {kinds}. `ClosureColumn.KIND` is one of `CLOSURES`: {closures}."
+    closures, roles = (", ".join(f"{i} {word}" for i, word in enumerate(words)) for words in (CLOSURES, LINE_ROLES))
+    kinds = (
+        f"`EdgeColumn.KIND` is one of `CurveKind`: {kinds}. `ClosureColumn.KIND` is one of `CLOSURES`: {closures}. "
+        f"`LineColumn.ROLE` is one of `LINE_ROLES`: {roles}."
+    )
     return "\n\n".join([*parts, kinds])
 
 
@@ -265,7 +268,7 @@ def field_docs(owner: type) -> dict[str, str]:
     """Attribute to the docstring below it.
 
     >>> field_docs(COLUMNS["stitches"])["RIGHT"]
-    'Row of `edges`.'
+    'As `LEFT`.'
     """
     (body,) = (node.body for node in ast.parse(textwrap.dedent(inspect.getsource(owner))).body if hasattr(node, "body"))
     found = {}
