@@ -355,7 +355,7 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
             batch[field] = _concatenated(values, counts[field], dtype, starts, field)
         else:
             batch[field] = _stacked(values, dtype, field, isinstance(items, StoredItems))
-    if "stitches" in batch and sum(counts.get("lines", [1])):
+    if "stitches" in batch and any(counts.get("lines", [1])):
         _refer_to_lines(batch, counts["stitches"])
     return unwrap(sent(batch))
 

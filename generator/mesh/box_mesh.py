@@ -220,18 +220,14 @@ def _layered(
     if not extensions:
         return positions
     drawn = mean_positions(positions, vertex)[vertex] - positions
-    for own, other in extensions:
-        faces, placement = (
-            panels.corners[panels.panel_of_point[panels.corners[:, 0]] == other],
-            pattern.panels[other].placement,
-        )
-        under = (panels.positions[own] - placement.translation) @ placement.matrix[:, :2]
-        tree = shapely.STRtree(shapely.polygons(panels.uv[faces]))
-        rows, found = tree.query(shapely.points(under), "intersects")
+    for own, under in extensions:
+        faces = panels.corners[panels.panel_of_point[panels.corners[:, 0]] == under]
+        placement = pattern.panels[under].placement
+        at = (panels.positions[own] - placement.translation) @ placement.matrix[:, :2]
+        rows, found = shapely.STRtree(shapely.polygons(panels.uv[faces])).query(shapely.points(at), "intersects")
         rows, first = np.unique(rows, return_index=True)
         faces = faces[found[first]]
-        weights = barycentric(panels.uv, faces, under[rows])
-        positions[own[rows]] += np.einsum("kn,nkd->nd", weights, drawn[faces])
+        positions[own[rows]] += np.einsum("kn,nkd->nd", barycentric(panels.uv, faces, at[rows]), drawn[faces])
     return positions
 
 

@@ -106,7 +106,8 @@ def _pinch(
 
     ``None`` for a loop that visits no point twice.
     """
-    at, detour, root = {}, loop[:0], -1
+    at: dict[int, int] = {}
+    detour, root = loop[:0], -1
     for place, point in enumerate(loop.tolist()):
         if point in at:
             around = loop[at[point] + 1 : place], np.concatenate([loop[: at[point]], loop[place + 1 :]])

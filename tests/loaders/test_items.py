@@ -112,7 +112,7 @@ def test_all_fields_means_all_that_the_garments_hold(sets: dict[str, Path], way:
     mesh = opened(sets, "mesh")[way]()
     assert set(mesh.fields) == set(FIELDS) - set(DRAPED)
     item = next(iter(mesh))
-    assert all(len(item[field]) for field in mesh.fields if isinstance(item[field], torch.Tensor))
+    assert all(len(item[f]) for f in mesh.fields if isinstance(item[f], torch.Tensor) and f != "lines")
 
 
 def test_pictures_that_are_not_rendered_are_refused() -> None:

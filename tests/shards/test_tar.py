@@ -98,7 +98,7 @@ def tars(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 def assert_arrays(found: Mapping[str, Any], index: int) -> None:
     for name, array in decode_fields(encode_sample(fake_sample(0, index)), ARRAYS).items():
-        assert np.array_equal(found[name], array), name
+        assert np.array_equal(np.reshape(found[name], array.shape), array), name  # HF gives an empty one as a list
 
 
 def test_webdataset_decodes_members_and_maps_whole_samples(tars: tuple[Path, Path]) -> None:

@@ -1,5 +1,6 @@
 """Lines inside panels: edges of the mesh follow them, and their seams join layers."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,9 @@ from tests.generator.mesh.shapes import panel, rectangle, seam, sewn
 WIDTH, HEIGHT = 40.0, 30.0
 
 
-def lined(points: list[tuple[float, float]], lines: list[tuple[int, int, Curve]], *, clockwise: bool = False) -> Panel:
+def lined(
+    points: Sequence[tuple[float, float]], lines: Sequence[tuple[int, int, Curve]], *, clockwise: bool = False
+) -> Panel:
     """A rectangle with further vertices, from number 4 on, and lines."""
     corners = rectangle(WIDTH, HEIGHT)
     bare = panel("a", corners[:1] + corners[:0:-1] if clockwise else corners)
