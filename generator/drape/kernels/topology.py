@@ -78,8 +78,10 @@ def flat_end(surface: ClothSurface, side: int, vertex: int) -> wp.vec2d:
 
 
 @wp.func
-def in_one_panel(surface: ClothSurface, one: int, other: int) -> bool:
+def are_one(surface: ClothSurface, panel: wp.array(dtype=int), one: int, other: int) -> bool:
     """Whether two sides between the same vertices are one segment in the plane of one panel."""
+    if panel[one // 3] != panel[other // 3]:
+        return False
     apart = wp.float64(0.0)
     for end in range(2):
         vertex = surface.faces[one // 3][(one % 3 + end) % 3]
@@ -97,13 +99,17 @@ def swap(sides: wp.array(dtype=int), i: int, j: int):
 @wp.kernel
 def mark_firsts(
     surface: ClothSurface,
+    panel: wp.array(dtype=int),
     keys: wp.array(dtype=wp.int64),
     # in and out
     sides: wp.array(dtype=int),
     # out
     firsts: wp.array(dtype=int),
 ):
-    """1 at the first side of each edge among the sorted sides, else 0; pairs of sides in one panel come first."""
+    """1 at the first side of each edge among the sorted sides, else 0; pairs of sides in one panel come first.
+
+    ``panel``: the panel of each face.
+    """
     s = wp.tid()
     if s > 0 and keys[s] == keys[wp.max(s - 1, 0)]:
         return
@@ -119,7 +125,7 @@ def mark_firsts(
             partner = int(-1)
             if i >= placed:
                 for j in range(i + 1, end):
-                    if partner < 0 and in_one_panel(surface, sides[i], sides[j]):
+                    if partner < 0 and are_one(surface, panel, sides[i], sides[j]):
                         partner = j
             if partner >= 0:
                 swap(sides, placed, i)
