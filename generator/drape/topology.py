@@ -118,7 +118,7 @@ class MeshBatch:
         self.launch(kernels.key_sides, sides, [surface.faces], [keys, order])
         wp.utils.radix_sort_pairs(keys, order, sides)
         keys = keys[:sides]
-        self.launch(kernels.mark_firsts, sides, [surface, panel, keys], [order, number])
+        self.launch(kernels.mark_firsts, sides, [panel, keys], [order, number])
         wp.utils.array_scan(number, number, inclusive=True)
         first_sides = wp.array(3 * self.faces.astype(np.int32), dtype=int, device=self.device)
         edge_offset = self.empty(len(self.faces), int)

@@ -67,38 +67,8 @@ def key_sides(
     sides[side] = side
 
 
-@wp.func
-def flat_end(surface: ClothSurface, side: int, vertex: int) -> wp.vec2d:
-    """The flat coordinates of an end of a side."""
-    f = side // 3
-    corner = side % 3
-    if surface.faces[f][corner] != vertex:
-        corner = (corner + 1) % 3
-    return surface.flat[f, corner]
-
-
-@wp.func
-def are_one(surface: ClothSurface, panel: wp.array(dtype=int), one: int, other: int) -> bool:
-    """Whether two sides between the same vertices are one segment in the plane of one panel."""
-    if panel[one // 3] != panel[other // 3]:
-        return False
-    apart = wp.float64(0.0)
-    for end in range(2):
-        vertex = surface.faces[one // 3][(one % 3 + end) % 3]
-        apart += wp.length_sq(flat_end(surface, one, vertex) - flat_end(surface, other, vertex))
-    return apart == wp.float64(0.0)
-
-
-@wp.func
-def swap(sides: wp.array(dtype=int), i: int, j: int):
-    side = sides[i]
-    sides[i] = sides[j]
-    sides[j] = side
-
-
 @wp.kernel
 def mark_firsts(
-    surface: ClothSurface,
     panel: wp.array(dtype=int),
     keys: wp.array(dtype=wp.int64),
     # in and out
@@ -106,9 +76,9 @@ def mark_firsts(
     # out
     firsts: wp.array(dtype=int),
 ):
-    """1 at the first side of each edge among the sorted sides, else 0; pairs of sides in one panel come first.
+    """1 at the first side of each edge among the sorted sides, else 0; ``panel``: the panel of each face.
 
-    ``panel``: the panel of each face.
+    Of more than two sides between two vertices, two of one panel are an edge of their own, and are moved to the front.
     """
     s = wp.tid()
     if s > 0 and keys[s] == keys[wp.max(s - 1, 0)]:
@@ -122,16 +92,15 @@ def mark_firsts(
     placed = int(s)
     if end > s + 2:
         for i in range(s, end):
-            partner = int(-1)
-            if i >= placed:
-                for j in range(i + 1, end):
-                    if partner < 0 and are_one(surface, panel, sides[i], sides[j]):
-                        partner = j
-            if partner >= 0:
-                swap(sides, placed, i)
-                swap(sides, placed + 1, partner)
-                firsts[placed] = 1
-                placed += 2
+            for j in range(i + 1, end):
+                if i >= placed and panel[sides[i] // 3] == panel[sides[j] // 3]:
+                    for k in range(2):
+                        at = wp.where(k == 0, i, j)
+                        side = sides[at]
+                        sides[at] = sides[placed + k]
+                        sides[placed + k] = side
+                    firsts[placed] = 1
+                    placed += 2
     if placed < end:
         firsts[placed] = 1
 
