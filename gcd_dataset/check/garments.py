@@ -301,6 +301,7 @@ def _can_be_turned(
     turned = np.zeros(count, bool)
     if stitches is not None and len(stitches):
         ends = stitches[stitches[:, 2] != 0, :2].astype(int)
+        ends = ends[(ends < len(edges)).all(axis=1)]  # a seam of a line turns nothing over
         turned[edges[ends.ravel(), EdgeColumn.PANEL].astype(int)] = True
     return turned
 
