@@ -476,11 +476,7 @@ def longest_ratio(pattern: Pattern) -> float:
 def front_necklines(pattern: Pattern) -> list[tuple[str, ...]]:
     """The kinds of curve of each half of the neckline in front."""
     fronts = [panel for panel in pattern.panels if panel.name.endswith("_ftorso")]
-    curves = [[type(edge.curve).__name__ for edge in panel.edges if edge.name == "neck"] for panel in fronts]
-    if any(seam.closure == Closure.BUTTONS for seam in pattern.seams):
-        for neckline in curves:
-            neckline.remove("Line")  # the top of the button stand
-    return [tuple(neckline) for neckline in curves]
+    return [tuple(type(edge.curve).__name__ for edge in panel.edges if edge.name == "neck") for panel in fronts]
 
 
 def drawn_features(worn: Worn) -> Mapping[str, bool]:
