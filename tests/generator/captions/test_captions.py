@@ -464,7 +464,7 @@ def test_five_tiers_of_the_least_length_hang_lower_than_declared() -> None:
 
 def longest_ratio(pattern: Pattern) -> float:
     """Largest ratio of the two sides of a seam."""
-    lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
+    lengths = {panel.name: panel.lengths() for panel in pattern.panels}
     sides = [
         [lengths[ref.panel][ref.edge] for ref in (seam.left, seam.right)]
         for seam in pattern.seams
