@@ -12,12 +12,13 @@ from itertools import islice
 from math import dist, hypot, isclose, log
 
 import numpy as np
+import shapely
 from jaxtyping import Complex
 
 from gcd_dataset.crossings import edge_hulls, find_crossings
-from gcd_dataset.curves import LINE, Arc, curve_length
+from gcd_dataset.curves import LINE, Arc, curve_length, sample_curve
 from gcd_dataset.errors import PatternError, shown
-from gcd_dataset.records import Closure, EdgeRef, Panel, Pattern, Seam
+from gcd_dataset.records import Closure, EdgeRef, InnerLine, Panel, Pattern, Seam
 
 __all__ = ["MOST_EDGES", "MOST_PANELS", "Fault", "Rule", "Severity", "check_pattern", "require_valid"]
 
@@ -44,6 +45,8 @@ UNITS = {"millimetres": 1000, "centimetres": 100, "inches": 39.37, "metres": 1} 
 CROSSWISE = 0.85  # a seam is crosswise if pairing its ends the other way shortens their distance to this share …
 APART = 2.0  # … and by this much [cm]; published and sampled seams all keep a share of 0.9 or more
 GATHER = 1.05  # ratio of two lengths sewn together, above which cloth gathers visibly
+LINE_POINTS = 65  # points along a line or an edge, to find where they meet
+TOUCH = 0.01  # cm: a line and an edge so near to a common vertex meet there
 SLACK = 0.5  # cm: a difference of two lengths that any seam absorbs
 
 
@@ -70,6 +73,9 @@ class Rule(Enum):
     UNLIKELY_SIZE = "size unlikely for a person"
     UNLIKELY_HEIGHT = "hangs above or below every person"
     SELF_CROSSING = "outline crosses itself"
+    LINE = "line that cannot be drawn"
+    LINE_CROSSING = "line meets the outline or a line"
+    LINE_OUTSIDE = "line outside its panel"
     NO_SUCH_EDGE = "stitch to a missing edge"
     STITCHED_TWICE = "edge stitched twice"
     LABELS_DIFFER = "stitched edges have different labels"
@@ -154,8 +160,11 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
             del drawn[number]
     crossings = list(_crossings(pattern.panels, drawn, edge_lengths))
     simple = {number: drawn[number] for number in drawn.keys() - dict(crossings).keys()}  # others have no area
-    for number, fault in (*crossings, *_small_panels(pattern.panels, simple)):
+    lined = ((number, fault) for number in simple for fault in _line_faults(pattern.panels[number]))
+    for number, fault in (*crossings, *_small_panels(pattern.panels, simple), *lined):
         faults[number].append(fault)
+    if sound := [number for number in simple if pattern.panels[number].lines and not faults[number]]:
+        edge_lengths |= {number: pattern.panels[number].lengths() for number in sound}
     lengths = {
         EdgeRef(pattern.panels[number].name, index): length
         for number, edges in edge_lengths.items()
@@ -327,12 +336,46 @@ def _crossings(
         yield numbers[row], Fault(Rule.SELF_CROSSING, drawn[row].name, crossing.edge, figure)
 
 
+def _line_faults(panel: Panel) -> Iterator[Fault]:
+    """Lines that cannot be drawn, lie outside the outline, or meet it or another line apart from common vertices."""
+    drawn: list[tuple[int, InnerLine, shapely.LineString]] = []
+    for number, line in enumerate(panel.lines):
+        try:
+            ends = panel.edge_ends(len(panel.edges) + number)
+            length = curve_length(*ends, line.curve)
+        except (IndexError, PatternError):
+            length = 0.0
+        if min(line.start, line.end) < 0 or not length:
+            figure = f"line {number}, from vertex {line.start} to {line.end}: correct its ends and its curve"
+            yield Fault(Rule.LINE, panel.name, None, figure)
+            continue
+        drawn.append((number, line, shapely.LineString(sample_curve(*ends, line.curve, LINE_POINTS))))
+    if not drawn:
+        return
+    edges = [sample_curve(*panel.edge_ends(i), edge.curve, LINE_POINTS)[:-1] for i, edge in enumerate(panel.edges)]
+    cloth, corners = shapely.Polygon(np.concatenate(edges)), {edge.start for edge in panel.edges}
+    for place, (number, line, points) in enumerate(drawn):
+        others = [(f"line {n}", other, {own.start, own.end}) for n, own, other in drawn[:place]]
+        for name, other, known in (("the outline", cloth.exterior, corners), *others):
+            common = shapely.MultiPoint(panel.vertices[sorted(known & {line.start, line.end})])
+            met = points.intersection(other).difference(common.buffer(TOUCH))
+            if not met.is_empty or not points.is_simple:
+                x, y = met.representative_point().coords[0] if not met.is_empty else points.coords[0]
+                figure = f"line {number} meets {name} at ({x:.2f}, {y:.2f}) cm: part them, or end it at a vertex"
+                yield Fault(Rule.LINE_CROSSING, panel.name, None, figure)
+                break
+        else:
+            if not cloth.contains(points.interpolate(0.5, normalized=True)):
+                yield Fault(Rule.LINE_OUTSIDE, panel.name, None, f"line {number}: draw it inside the outline")
+
+
 # ---------------------------------------------------------------------------------------------------------------- seams
 
 
 def _seam_faults(pattern: Pattern, lengths: dict[EdgeRef, float]) -> Iterator[Fault]:
     labels = {EdgeRef(p.name, i): edge.label for p in pattern.panels for i, edge in enumerate(p.edges)}
-    edges_of = {panel.name: len(panel.edges) for panel in pattern.panels}
+    labels |= {EdgeRef(p.name, len(p.edges) + i): "" for p in pattern.panels for i in range(len(p.lines))}
+    edges_of = {panel.name: len(panel.edges) + len(panel.lines) for panel in pattern.panels}
     uses = Counter(side for seam in pattern.seams for side in (seam.left, seam.right))
     panels = {panel.name: panel for panel in pattern.panels}
     corners = {panel.name: panel.placement.apply(panel.vertices).tolist() for panel in pattern.panels}
@@ -361,6 +404,8 @@ def _narrow_darts(pattern: Pattern, lengths: Collection[EdgeRef]) -> Iterator[Fa
         if seam.left.panel != seam.right.panel or seam.left not in lengths or seam.right not in lengths:
             continue
         panel, count = panels[seam.left.panel], len(panels[seam.left.panel].edges)
+        if max(seam.left.edge, seam.right.edge) >= count:
+            continue
         steps = (seam.right.edge - seam.left.edge) % count, (seam.left.edge - seam.right.edge) % count
         if 1 not in steps:
             continue
@@ -426,7 +471,7 @@ def _crosswise(
 
     ``corners``: panel name to the panel's vertices in space [cm].
     """
-    edges = [(corners[side.panel], panels[side.panel].edges[side.edge]) for side in (seam.left, seam.right)]
+    edges = [(corners[side.panel], panels[side.panel].edge(side.edge)) for side in (seam.left, seam.right)]
     (a, b), (c, d) = ((points[edge.start], points[edge.end]) for points, edge in edges)
     if not seam.right_wrong:
         c, d = d, c

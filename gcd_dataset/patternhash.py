@@ -9,9 +9,9 @@ effect on the hash; ``agrees`` accepts the hash of a machine that rounded a tie 
 
 The hash of a pattern covers: its index; names and labels of panels, labels of edges; each panel's centroid in space,
 rotation, centroid in its own coordinates and number of edges; each edge's panel, start, kind and control points, for an
-arc its midpoint, side and large flag; the stitches. Two kinds of ``PatternTensor`` columns are left out, since they
-follow from the others with larger rounding errors: Euler angles of rotations, which are not unique, and radii of arcs,
-which are unbounded for nearly straight arcs.
+arc its midpoint, side and large flag; the same, end and role of each line; the stitches. Two kinds of ``PatternTensor``
+columns are left out, since they follow from the others with larger rounding errors: Euler angles of rotations, which
+are not unique, and radii of arcs, which are unbounded for nearly straight arcs.
 
 The hash of many patterns is the sum of their hashes modulo 2^256 (AdHash; Bellare and Micciancio, 1997), so it does not
 depend on their order. It identifies a data set, but gives no security against forgery.
@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor
+from gcd_dataset.tensors import EdgeColumn, LineColumn, PanelColumn, PatternTensor
 
 STEP = 1e-4  # cm; unitless for quaternions
 NEAR = 1e-5  # of a step: a number so near to half-way is a tie; 1e-9 cm, 50 times the largest observed difference
@@ -52,6 +52,7 @@ QUATERNION = [
     PanelColumn.QUATERNION_Z,
 ]
 EDGE_COLUMNS = [column for column in EdgeColumn if column is not EdgeColumn.RADIUS]
+LINE_COLUMNS = [column for column in LineColumn if column is not LineColumn.RADIUS]
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,7 @@ def hash_pattern(index: int, tensor: PatternTensor) -> PatternHash:
             tensor.panels[:, PANEL_COLUMNS].ravel(),
             _with_leading_sign(tensor.panels[:, QUATERNION]).ravel(),
             tensor.edges[:, EDGE_COLUMNS].ravel(),
+            tensor.lines[:, LINE_COLUMNS].ravel(),
         ]
     ).astype(float)
     steps /= STEP

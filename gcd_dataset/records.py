@@ -6,9 +6,9 @@ A record holds read-only views of its arrays; records compare by value.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum, StrEnum
-from math import cos, nan, sin
+from math import cos, inf, nan, sin
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -34,6 +34,8 @@ __all__ = [
     "Fit",
     "FitLabel",
     "Grade",
+    "InnerLine",
+    "LineRole",
     "Maps",
     "Measurements",
     "NamedFabric",
@@ -184,6 +186,28 @@ class Edge:
     """Name of the edge in its garment's program; not part of a specification file."""
 
 
+class LineRole(StrEnum):
+    """Purpose of a line inside a panel; the value is its label in files."""
+
+    FOLD = "fold"
+    PLACEMENT = "placement"
+    """Where another panel, or the line of another panel, is laid or sewn on: the centre front of a buttoned shirt."""
+    STITCH = "stitch"
+
+
+@dataclass(frozen=True, slots=True)
+class InnerLine:
+    """A line drawn inside a panel, from vertex ``start`` to vertex ``end``; each may be a corner of the outline."""
+
+    start: int
+    end: int
+    curve: Curve = LINE
+    role: LineRole | str = LineRole.STITCH
+    """A label in a file that matches no role stays a string."""
+    name: str = ""
+    """Name of the line in its garment's program; not part of a specification file."""
+
+
 @dataclass(frozen=True, eq=False)
 class Placement(Record):
     """Rigid placement of a panel in space before sewing: ``(x, y) -> R (x, y, 0) + translation``."""
@@ -225,10 +249,16 @@ class Panel(Record):
     placement: Placement
     label: PanelRole | str = ""
     """Part of the body that the panel covers, empty if unknown; a label that matches no role stays a string."""
+    lines: tuple[InnerLine, ...] = ()
+    """Lines inside the outline. They meet each other and the outline only in common vertices."""
+
+    def edge(self, index: int) -> Edge | InnerLine:
+        """Edge ``index``; after the edges come the lines, see ``EdgeRef``."""
+        return self.edges[index] if index < len(self.edges) else self.lines[index - len(self.edges)]
 
     def edge_ends(self, index: int) -> tuple[Point, Point]:
-        """Start and end point of edge ``index`` [cm]."""
-        edge = self.edges[index]
+        """Start and end point of edge ``index``, or of a line [cm]."""
+        edge = self.edge(index)
         (x0, y0), (x1, y1) = self.vertices[edge.start].tolist(), self.vertices[edge.end].tolist()
         return (x0, y0), (x1, y1)
 
@@ -237,10 +267,18 @@ class Panel(Record):
         corners: list[Point] = [(x, y) for x, y in self.vertices.tolist()]
         return [curve_length(corners[edge.start], corners[edge.end], edge.curve) for edge in self.edges]
 
+    def lengths(self) -> list[float]:
+        """Lengths of all edges, then of all lines [cm]. Raises ``PatternError`` as ``edge_lengths``."""
+        lines = range(len(self.edges), len(self.edges) + len(self.lines))
+        return self.edge_lengths() + [curve_length(*self.edge_ends(i), self.edge(i).curve) for i in lines]
+
 
 @dataclass(frozen=True, slots=True)
 class EdgeRef:
-    """An edge of a pattern: panel name and index of the edge in the panel's loop."""
+    """An edge of a pattern: panel name and index of the edge in the panel's loop.
+
+    An index of ``len(panel.edges)`` or more is that of a line: ``Panel.edge`` takes both.
+    """
 
     panel: str
     edge: int
@@ -254,7 +292,7 @@ class Closure(StrEnum):
     """Not joined: the edges of a cardigan's fronts."""
     ZIP = "zip"
     BUTTONS = "buttons"
-    """The panel of ``left`` lies over that of ``right``; its edge is joined to the other edge all the same."""
+    """The panel of ``left`` lies over that of ``right``. Joined along two lines they overlap between line and edge."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,8 +301,8 @@ class Seam:
 
     By default the right sides meet, so the start of ``left`` meets the end of ``right``; with ``right_wrong`` the
     starts meet, and one of the panels is sewn in wrong side out. Unequal lengths are gathered. An edge has the
-    direction of its panel's loop. Only this rule decides which ends meet; the placement of the panels does not
-    (``check_pattern`` warns if the ends would be nearer when joined the other way).
+    direction of its panel's loop, a line its own. Only this rule decides which ends meet; the placement of the panels
+    does not (``check_pattern`` warns if the ends would be nearer when joined the other way).
     """
 
     left: EdgeRef
@@ -302,7 +340,7 @@ class Pattern(Record):
         1: a plain seam; above 1 the left edge is gathered or eased onto the right one, below 1 the right onto the left.
         A seam of a missing edge, or of one without length, counts as plain: ``check_pattern`` reports it.
         """
-        lengths = {panel.name: panel.edge_lengths() for panel in self.panels}
+        lengths = {panel.name: panel.lengths() for panel in self.panels}
 
         def length(ref: EdgeRef) -> float:
             edges = lengths.get(ref.panel, ())
@@ -310,6 +348,16 @@ class Pattern(Record):
 
         pairs = ((length(seam.left), length(seam.right)) for seam in self.seams)
         return tuple(round(left / right, 4) if left and right else 1.0 for left, right in pairs)
+
+    def without_lines(self) -> Self:
+        """The pattern without lines and their seams, for forms that hold edges alone."""
+        edges = {panel.name: len(panel.edges) for panel in self.panels if panel.lines}
+        if not edges:
+            return self
+        panels = tuple(replace(panel, lines=()) for panel in self.panels)
+        sides = ((seam, (seam.left, seam.right)) for seam in self.seams)
+        kept = tuple(seam for seam, both in sides if all(ref.edge < edges.get(ref.panel, inf) for ref in both))
+        return replace(self, panels=panels, seams=kept)
 
     def _repr_html_(self) -> str:
         from gcd_dataset.viewer.notebook import pattern_html

@@ -7,6 +7,10 @@ A stitch stays a list of two edges, whatever its closure, so that pygarment and 
 ``pattern.closures``, which they ignore, names the stitches that are not sewn from end to end: ``panel`` and ``edge`` of
 the first side, ``closure``, and ``closed``, the joined part from and to, as shares of that edge.
 
+Lines inside a panel are its list ``lines``: ``endpoints`` and ``curvature`` as of an edge, and ``role``. Seams of lines
+are in the list ``pattern.line_stitches``, which others ignore, too: ``sides``, each a panel and an ``edge`` or a
+``line``, ``right_wrong``, and ``seam``, its position among all seams. In ``closures`` they are named by ``line``.
+
 >>> from gcd_dataset.records import Panel, Pattern, Placement, Edge
 >>> square = Panel("square", np.array([[0, 0], [9, 0], [9, 9], [0, 9]]), tuple(Edge(i, (i + 1) % 4) for i in range(4)),
 ...                Placement(np.zeros(3), np.zeros(3)))
@@ -29,7 +33,20 @@ from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, mirror
 from gcd_dataset.errors import PatternError, shown
 from gcd_dataset.files import write_whole
 from gcd_dataset.jsonfile import JsonPath, found, given, read_json
-from gcd_dataset.records import Closure, Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam, role_of
+from gcd_dataset.records import (
+    Closure,
+    Edge,
+    EdgeRef,
+    EdgeRole,
+    InnerLine,
+    LineRole,
+    Panel,
+    PanelRole,
+    Pattern,
+    Placement,
+    Seam,
+    role_of,
+)
 
 __all__ = [
     "is_bodice",
@@ -94,9 +111,11 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
         for key, entry in at.mapping(body.get("panels"), "pattern.panels").items()
     }
     stitches = at.list_of(body, "stitches") if body.get("stitches") is not None else []
-    seams = tuple(_seam(entry, at.within(f"stitch {i}")) for i, entry in enumerate(stitches))
+    seams = tuple(_seam(entry, panels, at.within(f"stitch {i}")) for i, entry in enumerate(stitches))
+    if body.get("line_stitches") is not None:
+        seams = _with_line_seams(seams, at.list_of(body, "line_stitches"), panels, at)
     if body.get("closures") is not None:
-        seams = _closed(seams, at.list_of(body, "closures"), at)
+        seams = _closed(seams, at.list_of(body, "closures"), panels, at)
     if not form.loops_normalised:
         panels, seams = _normalise_loops(panels, seams)
     order = _given_order(body, panels, at) if body.get("panel_order") is not None else panel_order(panels.values())
@@ -105,11 +124,24 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
 
 def spec_from_pattern(pattern: Pattern) -> dict[str, Any]:
     """The specification of a pattern as a JSON tree; numbers keep all their digits."""
-    closures = [_closure_entry(seam) for seam in pattern.seams if not seam.is_plain]
+    panels = {panel.name: panel for panel in pattern.panels}
+    entries = [[_side_entry(side, panels) for side in (seam.left, seam.right)] for seam in pattern.seams]
+    seams = list(zip(pattern.seams, entries, strict=True))
+    closures = [
+        {**sides[0], "closure": str(seam.closure), "closed": list(seam.closed)}
+        for seam, sides in seams
+        if not seam.is_plain
+    ]
+    of_lines = [
+        {"seam": number, "sides": sides, "right_wrong": seam.right_wrong}
+        for number, (seam, sides) in enumerate(seams)
+        if _names_line(sides)
+    ]
     return {
         "pattern": {
             "panels": {panel.name: _panel_entry(panel) for panel in pattern.panels},
-            "stitches": [_seam_entry(seam) for seam in pattern.seams],
+            "stitches": [sides + ["right_wrong"] * seam.right_wrong for seam, sides in seams if not _names_line(sides)],
+            **({"line_stitches": of_lines} if of_lines else {}),
             **({"closures": closures} if closures else {}),
             "panel_order": [panel.name for panel in pattern.panels],
         },
@@ -193,12 +225,21 @@ def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: JsonPath) -> Pa
         _edge(at.mapping(edge, f"edge {i}"), vertices, form, at.within(f"edge {i}"))
         for i, edge in enumerate(at.list_of(entry, "edges"))
     )
+    lines = tuple(
+        _line(at.mapping(line, f"line {i}"), vertices, form, at.within(f"line {i}"))
+        for i, line in enumerate(at.list_of(entry, "lines") if entry.get("lines") is not None else [])
+    )
     if form.centre_panels and len(vertices):
         centre = vertices.mean(axis=0)
         vertices = vertices - centre
         translation = translation + np.append(centre, 0.0)
     label = role_of(PanelRole, at.text(entry.get("label") or "", "label"))
-    return Panel(name, vertices, edges, Placement(translation, rotation), label)
+    return Panel(name, vertices, edges, Placement(translation, rotation), label, lines)
+
+
+def _line(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _Form, at: JsonPath) -> InnerLine:
+    drawn, role = _edge(entry, vertices, form, at), at.text(given(entry, "role", LineRole.STITCH), "role")
+    return InnerLine(drawn.start, drawn.end, drawn.curve, role_of(LineRole, role))
 
 
 def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _Form, at: JsonPath) -> Edge:
@@ -258,25 +299,48 @@ def _relative(curve: Curve, start: np.ndarray, end: np.ndarray, scale: float, at
         raise at.error(str(error)) from error
 
 
-def _seam(entry: Any, at: JsonPath) -> Seam:
+def _seam(entry: Any, panels: Mapping[str, Panel], at: JsonPath) -> Seam:
     if not isinstance(entry, list) or len(entry) not in (2, 3):
         raise at.error(f"a stitch is two edges, and at most the word right_wrong; found {found(entry)}")
     if len(entry) == 3 and entry[2] not in ("right_wrong", None):
         raise at.error(f"the third word of a stitch is right_wrong, found {found(entry[2])}")
-    sides = [at.mapping(side, "a side of the stitch") for side in entry[:2]]
-    left, right = (
-        EdgeRef(at.text(side.get("panel"), "panel"), at.index(side.get("edge"), "edge number")) for side in sides
-    )
+    left, right = (_side(at.mapping(side, "a side of the stitch"), panels, at) for side in entry[:2])
     return Seam(left, right, right_wrong=entry[2:] == ["right_wrong"])
 
 
-def _closed(seams: Sequence[Seam], entries: Sequence[Any], at: JsonPath) -> tuple[Seam, ...]:
+def _side(entry: Mapping[str, Any], panels: Mapping[str, Panel], at: JsonPath) -> EdgeRef:
+    """The edge, or the line, that a side of a stitch names."""
+    name = at.text(entry.get("panel"), "panel")
+    if entry.get("line") is None:
+        return EdgeRef(name, at.index(entry.get("edge"), "edge number"))
+    if name not in panels or not 0 <= (line := at.index(entry["line"], "line number")) < len(panels[name].lines):
+        raise at.error(f"panel {shown(name)} has no line {entry['line']}: correct panel or line")
+    return EdgeRef(name, len(panels[name].edges) + line)
+
+
+def _with_line_seams(
+    seams: Sequence[Seam], entries: Sequence[Any], panels: Mapping[str, Panel], at: JsonPath
+) -> tuple[Seam, ...]:
+    """The seams with those of ``pattern.line_stitches`` at their positions."""
+    found = list(seams)
+    for i, value in enumerate(entries):
+        here = at.within(f"line stitch {i}")
+        entry = here.mapping(value, "an entry of line_stitches")
+        turned = ["right_wrong"] if entry.get("right_wrong") else []
+        seam = _seam([*here.list_of(entry, "sides"), *turned], panels, here)
+        found.insert(here.index(given(entry, "seam", len(found)), "position"), seam)
+    return tuple(found)
+
+
+def _closed(
+    seams: Sequence[Seam], entries: Sequence[Any], panels: Mapping[str, Panel], at: JsonPath
+) -> tuple[Seam, ...]:
     """The seams with the closures of ``pattern.closures``."""
     row_of, found = {seam.left: row for row, seam in enumerate(seams)}, list(seams)
     for i, value in enumerate(entries):
         here = at.within(f"closure {i}")
         entry = here.mapping(value, "an entry of closures")
-        edge = EdgeRef(here.text(entry.get("panel"), "panel"), here.index(entry.get("edge"), "edge number"))
+        edge = _side(entry, panels, here)
         if (row := row_of.pop(edge, None)) is None:
             raise here.error(
                 f"no stitch begins with edge {edge.edge} of panel {shown(edge.panel)}, or an earlier closure names it: "
@@ -332,11 +396,11 @@ def _turned_over(panel: Panel) -> Panel:
     """The same panel in space, drawn from its other side: mirrored in its plane and turned by half a turn about y."""
     placement = panel.placement
     turned = placement.matrix @ np.diag([-1.0, 1.0, -1.0])
-    edges = tuple(replace(edge, curve=mirrored(edge.curve)) for edge in panel.edges)
     return replace(
         panel,
         vertices=panel.vertices * [-1.0, 1.0],
-        edges=edges,
+        edges=tuple(replace(edge, curve=mirrored(edge.curve)) for edge in panel.edges),
+        lines=tuple(replace(line, curve=mirrored(line.curve)) for line in panel.lines),
         placement=Placement(placement.translation, euler_angles(turned)),
     )
 
@@ -360,10 +424,17 @@ def _panel_entry(panel: Panel) -> dict[str, Any]:
         "vertices": panel.vertices.tolist(),
         "edges": [_edge_entry(edge) for edge in panel.edges],
     }
+    if panel.lines:
+        entry["lines"] = [{**_curve_entry(line), "role": str(line.role)} for line in panel.lines]
     return {**entry, "label": panel.label} if panel.label else entry
 
 
 def _edge_entry(edge: Edge) -> dict[str, Any]:
+    entry = _curve_entry(edge)
+    return {**entry, "label": edge.label} if edge.label else entry
+
+
+def _curve_entry(edge: Edge | InnerLine) -> dict[str, Any]:
     entry: dict[str, Any] = {"endpoints": [edge.start, edge.end]}
     match edge.curve:
         case Quadratic(control):
@@ -374,17 +445,17 @@ def _edge_entry(edge: Edge) -> dict[str, Any]:
             entry["curvature"] = {"type": "circle", "params": [radius, int(large), int(right)]}
         case _:
             assert edge.curve == LINE
-    return {**entry, "label": edge.label} if edge.label else entry
+    return entry
 
 
-def _seam_entry(seam: Seam) -> list[Any]:
-    sides: list[Any] = [{"panel": side.panel, "edge": side.edge} for side in (seam.left, seam.right)]
-    return sides + ["right_wrong"] if seam.right_wrong else sides
+def _side_entry(ref: EdgeRef, panels: Mapping[str, Panel]) -> dict[str, Any]:
+    line = ref.edge - len(panels[ref.panel].edges) if ref.panel in panels else -1
+    is_line = line >= 0 and line < len(panels[ref.panel].lines)
+    return {"panel": ref.panel, "line": line} if is_line else {"panel": ref.panel, "edge": ref.edge}
 
 
-def _closure_entry(seam: Seam) -> dict[str, Any]:
-    side = {"panel": seam.left.panel, "edge": seam.left.edge}
-    return {**side, "closure": str(seam.closure), "closed": list(seam.closed)}
+def _names_line(sides: Sequence[Mapping[str, Any]]) -> bool:
+    return any("line" in side for side in sides)
 
 
 # -------------------------------------------------------------------------------------------------------------- helpers

@@ -1,7 +1,8 @@
 """Encoding of a pattern as four plain arrays, for networks and storage, and decoding.
 
-One row for each panel, edge, seam and closure of a seam, in the order of the pattern; edges are sorted by panel and
-loop. ``PanelColumn``, ``EdgeColumn``, ``StitchColumn`` and ``ClosureColumn`` name the columns:
+One row for each panel, edge, seam, closure of a seam and line inside a panel, in the order of the pattern; edges are
+sorted by panel and loop, lines by panel. ``PanelColumn``, ``EdgeColumn``, ``StitchColumn``, ``ClosureColumn`` and
+``LineColumn`` name the columns:
 
 >>> from gcd_dataset.records import Edge, Panel, Pattern, Placement
 >>> square = Panel("square", np.array([[0, 0], [9, 0], [9, 9], [0, 9]]), tuple(Edge(i, (i + 1) % 4) for i in range(4)),
@@ -18,7 +19,7 @@ of a nearly closed arc rotates the circle about them, and float32 would move its
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from itertools import pairwise
 
@@ -43,6 +44,8 @@ from gcd_dataset.records import (
     Edge,
     EdgeRef,
     EdgeRole,
+    InnerLine,
+    LineRole,
     Panel,
     PanelRole,
     Pattern,
@@ -55,10 +58,12 @@ from gcd_dataset.records import (
 __all__ = [
     "CLOSURES",
     "EDGE_LABELS",
+    "LINE_ROLES",
     "PANEL_LABELS",
     "ClosureColumn",
     "CurveKind",
     "EdgeColumn",
+    "LineColumn",
     "PanelColumn",
     "PatternTensor",
     "StitchColumn",
@@ -74,6 +79,8 @@ EDGE_LABELS = ("", *(role.value for role in EdgeRole))
 """Edge labels with the same number in every tensor; further labels are numbered after them."""
 CLOSURES = tuple(Closure)
 """Closures with the same number in every tensor."""
+LINE_ROLES = tuple(LineRole)
+"""Roles of lines with the same number in every tensor."""
 
 NO_AREA = 1e-6  # share of the squared extent: the area centroid of a flatter panel is ill-conditioned
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # exact to degree 31: a cubic's moments need 8
@@ -134,9 +141,9 @@ class StitchColumn(IntEnum):
     """Columns of ``PatternTensor.stitches``."""
 
     LEFT = 0
-    """Row of ``edges``."""
+    """Row of ``edges``; numbers from the number of edges on are rows of ``lines``."""
     RIGHT = 1
-    """Row of ``edges``."""
+    """As ``LEFT``."""
     RIGHT_WRONG = 2
     """1 if the starts of the two edges meet."""
 
@@ -152,8 +159,33 @@ class ClosureColumn(IntEnum):
     END = 2
 
 
+class LineColumn(IntEnum):
+    """Columns of ``PatternTensor.lines``; the first twelve are those of ``EdgeColumn``."""
+
+    PANEL = 0
+    VERTEX = 1
+    """Index of the start among the panel's vertices."""
+    START_X = 2
+    START_Y = 3
+    KIND = 4
+    CONTROL0_X = 5
+    CONTROL0_Y = 6
+    CONTROL1_X = 7
+    CONTROL1_Y = 8
+    RADIUS = 9
+    LARGE = 10
+    RIGHT = 11
+    ROLE = 12
+    """Row of ``LINE_ROLES``."""
+    END = 13
+    """Index of the end among the panel's vertices."""
+    END_X = 14
+    END_Y = 15
+
+
 COLUMNS: Mapping[str, type[IntEnum]] = {
     "panels": PanelColumn, "edges": EdgeColumn, "stitches": StitchColumn, "closures": ClosureColumn,
+    "lines": LineColumn,
 }  # fmt: skip
 """Array of ``PatternTensor`` to the names of its columns."""
 
@@ -174,6 +206,8 @@ CENTROID = slice(PanelColumn.CENTROID_X, PanelColumn.CENTROID_Y + 1)
 START = slice(EdgeColumn.START_X, EdgeColumn.START_Y + 1)
 CONTROL0 = slice(EdgeColumn.CONTROL0_X, EdgeColumn.CONTROL0_Y + 1)
 CONTROL1 = slice(EdgeColumn.CONTROL1_X, EdgeColumn.CONTROL1_Y + 1)
+END = slice(LineColumn.END_X, LineColumn.END_Y + 1)
+NO_LINES = np.zeros((0, len(LineColumn)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +227,8 @@ class PatternTensor(Record):
     panel_labels: tuple[str, ...] = PANEL_LABELS
     edge_labels: tuple[str, ...] = EDGE_LABELS
     name: str = ""
+    lines: Float[np.ndarray, "n 16"] = field(default_factory=NO_LINES.copy)
+    """Columns of ``LineColumn``."""
 
     @property
     def loops(self) -> Int[np.ndarray, "p+1"]:
@@ -203,12 +239,13 @@ class PatternTensor(Record):
 def encode_pattern(pattern: Pattern) -> PatternTensor:
     """The pattern as arrays, without ``extra``, edge names and unused vertices.
 
-    Raises ``PatternError`` for an open loop, an arc that does not span its chord, or a seam to a missing edge.
+    Raises ``PatternError`` for an open loop, an arc that does not span its chord, a seam to a missing edge, or an
+    unknown closure or role.
     """
     panel_labels = _table(PANEL_LABELS, (panel.label for panel in pattern.panels))
     edge_labels = _table(EDGE_LABELS, (edge.label for panel in pattern.panels for edge in panel.edges))
     panels = np.zeros((len(pattern.panels), len(PanelColumn)))
-    loops = []
+    loops, lines = [], []
     for panel in pattern.panels:
         require_closed(panel)
     for row, (panel, centroid) in enumerate(zip(pattern.panels, _area_centroids(pattern.panels), strict=True)):
@@ -219,6 +256,7 @@ def encode_pattern(pattern: Pattern) -> PatternTensor:
         panels[row, PanelColumn.N_EDGES] = len(panel.edges)
         panels[row, PanelColumn.LABEL] = panel_labels.index(panel.label)
         loops.append(_edge_rows(row, panel, centroid, edge_labels))
+        lines.append(_line_rows(row, panel, centroid))
     return PatternTensor(
         panels=panels,
         edges=np.concatenate([np.zeros((0, len(EdgeColumn))), *loops]),
@@ -228,6 +266,7 @@ def encode_pattern(pattern: Pattern) -> PatternTensor:
         panel_labels=panel_labels,
         edge_labels=edge_labels,
         name=pattern.name,
+        lines=np.concatenate([NO_LINES, *lines]),
     )
 
 
@@ -239,13 +278,21 @@ def decode_pattern(tensor: PatternTensor) -> Pattern:
     _require_sound(tensor)
     bounds = [(int(a), int(b)) for a, b in pairwise(tensor.loops)]
     panels = tuple(_panel(tensor, row, tensor.edges[first:last]) for row, (first, last) in enumerate(bounds))
-    refs = [EdgeRef(panel.name, i) for panel in panels for i in range(len(panel.edges))]
+    refs = edges_and_lines(panels)
     rows = zip(tensor.stitches.tolist(), tensor.closures.tolist(), strict=True)
     seams = tuple(
         Seam(refs[left], refs[right], bool(turned), CLOSURES[int(kind)], (start, end))
         for (left, right, turned), (kind, start, end) in rows
     )
     return Pattern(tensor.name, panels, seams)
+
+
+def edges_and_lines(panels: Iterable[Panel]) -> list[EdgeRef]:
+    """All edges, then all lines, of the panels: the rows that ``stitches`` refers to."""
+    panels = tuple(panels)
+    edges = [EdgeRef(panel.name, i) for panel in panels for i in range(len(panel.edges))]
+    lines = [EdgeRef(panel.name, len(panel.edges) + i) for panel in panels for i in range(len(panel.lines))]
+    return edges + lines
 
 
 def area_centroid(panel: Panel) -> Float[np.ndarray, "2"]:
@@ -317,34 +364,59 @@ def _table(known: tuple[str, ...], labels: Iterable[str]) -> tuple[str, ...]:
 
 
 def _edge_rows(row: int, panel: Panel, centroid: np.ndarray, labels: tuple[str, ...]) -> Float[np.ndarray, "e 13"]:
-    starts = [edge.start for edge in panel.edges]
-    used = {vertex: number for number, vertex in enumerate(sorted(set(starts)))}
+    starts, used = [edge.start for edge in panel.edges], _used_vertices(panel)
     rows = np.zeros((len(panel.edges), len(EdgeColumn)))
     rows[:, EdgeColumn.PANEL] = row
     rows[:, EdgeColumn.VERTEX] = [used[vertex] for vertex in starts]
     rows[:, START] = panel.vertices[starts] - centroid
     rows[:, EdgeColumn.LABEL] = [labels.index(edge.label) for edge in panel.edges]
     for index in [index for index, edge in enumerate(panel.edges) if edge.curve != LINE]:
-        (start, end), curve = panel.edge_ends(index), panel.edges[index].curve
-        match curve:
-            case Quadratic(control):
-                rows[index, EdgeColumn.KIND] = CurveKind.QUADRATIC
-                rows[index, CONTROL0] = from_frame(start, end, control) - centroid
-            case Cubic(control0, control1):
-                rows[index, EdgeColumn.KIND] = CurveKind.CUBIC
-                rows[index, CONTROL0] = from_frame(start, end, control0) - centroid
-                rows[index, CONTROL1] = from_frame(start, end, control1) - centroid
-            case Arc(radius, large, right):
-                rows[index, EdgeColumn.KIND] = CurveKind.ARC
-                rows[index, CONTROL0] = curve_points(start, end, curve, np.array([0.5]))[0] - centroid
-                rows[index, EdgeColumn.RADIUS : EdgeColumn.RIGHT + 1] = radius, large, right
+        _describe_curve(rows[index], *panel.edge_ends(index), panel.edges[index].curve, centroid)
     return rows
+
+
+def _line_rows(row: int, panel: Panel, centroid: np.ndarray) -> Float[np.ndarray, "n 16"]:
+    rows, used = np.zeros((len(panel.lines), len(LineColumn))), _used_vertices(panel)
+    for number, (line, entry) in enumerate(zip(panel.lines, rows, strict=True)):
+        if line.role not in LINE_ROLES:
+            raise PatternError(
+                f"panel {panel.name}, line {number}: role {shown(line.role)}: give one of {', '.join(LINE_ROLES)}"
+            )
+        entry[LineColumn.PANEL], entry[LineColumn.ROLE] = row, LINE_ROLES.index(LineRole(line.role))
+        entry[LineColumn.VERTEX], entry[LineColumn.END] = used[line.start], used[line.end]
+        ends = panel.edge_ends(len(panel.edges) + number)
+        entry[START], entry[END] = np.array(ends) - centroid
+        _describe_curve(entry, *ends, line.curve, centroid)
+    return rows
+
+
+def _used_vertices(panel: Panel) -> dict[int, int]:
+    """The number of each vertex among those that edges and lines use."""
+    used = {edge.start for edge in panel.edges} | {end for line in panel.lines for end in (line.start, line.end)}
+    return {vertex: number for number, vertex in enumerate(sorted(used))}
+
+
+def _describe_curve(
+    entry: Float[np.ndarray, " n"], start: Point, end: Point, curve: Curve, centroid: np.ndarray
+) -> None:
+    """Fill the columns of an edge or a line that describe its curve."""
+    match curve:
+        case Quadratic(control):
+            entry[EdgeColumn.KIND] = CurveKind.QUADRATIC
+            entry[CONTROL0] = from_frame(start, end, control) - centroid
+        case Cubic(control0, control1):
+            entry[EdgeColumn.KIND] = CurveKind.CUBIC
+            entry[CONTROL0] = from_frame(start, end, control0) - centroid
+            entry[CONTROL1] = from_frame(start, end, control1) - centroid
+        case Arc(radius, large, right):
+            entry[EdgeColumn.KIND] = CurveKind.ARC
+            entry[CONTROL0] = curve_points(start, end, curve, np.array([0.5]))[0] - centroid
+            entry[EdgeColumn.RADIUS : EdgeColumn.RIGHT + 1] = radius, large, right
 
 
 def seam_rows(pattern: Pattern) -> Int[np.ndarray, "s 3"]:
     """The stitches of a pattern, in the columns of ``StitchColumn``. Raises ``PatternError`` for a missing edge."""
-    refs = [EdgeRef(panel.name, i) for panel in pattern.panels for i in range(len(panel.edges))]
-    row_of = {ref: row for row, ref in enumerate(refs)}
+    row_of = {ref: row for row, ref in enumerate(edges_and_lines(pattern.panels))}
     for number, seam in enumerate(pattern.seams):
         for side in (seam.left, seam.right):
             if side not in row_of:
@@ -398,13 +470,22 @@ def _require_sound(tensor: PatternTensor) -> None:
         raise PatternError(
             f"N_EDGES adds up to {tensor.loops[-1]}, but there are {len(tensor.edges)} edges: correct N_EDGES"
         )
+    most_vertices = len(tensor.edges) + 2 * len(tensor.lines)
     numbered = (
-        (tensor.stitches[:, : StitchColumn.RIGHT + 1], len(tensor.edges), "stitches refer to edges"),
+        (
+            tensor.stitches[:, : StitchColumn.RIGHT + 1],
+            len(tensor.edges) + len(tensor.lines),
+            "stitches refer to edges",
+        ),
         (tensor.closures[:, ClosureColumn.KIND], len(CLOSURES), "closures refer to kinds"),
         (tensor.panels[:, PanelColumn.LABEL], len(tensor.panel_labels), "panels refer to labels"),
         (tensor.edges[:, EdgeColumn.LABEL], len(tensor.edge_labels), "edges refer to labels"),
         (tensor.edges[:, EdgeColumn.KIND], len(CurveKind), "edges refer to kinds"),
-        (tensor.edges[:, EdgeColumn.VERTEX], len(tensor.edges), "edges refer to vertices"),
+        (tensor.edges[:, EdgeColumn.VERTEX], most_vertices, "edges refer to vertices"),
+        (tensor.lines[:, LineColumn.PANEL], len(tensor.panels), "lines refer to panels"),
+        (tensor.lines[:, LineColumn.ROLE], len(LINE_ROLES), "lines refer to roles"),
+        (tensor.lines[:, LineColumn.KIND], len(CurveKind), "lines refer to kinds"),
+        (tensor.lines[:, [LineColumn.VERTEX, LineColumn.END]], most_vertices, "lines refer to vertices"),
     )
     for numbers, count, what in numbered:
         if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
@@ -418,8 +499,11 @@ def _panel(tensor: PatternTensor, row: int, loop: Float[np.ndarray, "n 13"]) -> 
     placement = Placement(np.zeros(3), numbers[ANGLES])
     placement = Placement(numbers[POSITION] - placement.apply(numbers[CENTROID]), numbers[ANGLES])
     corner = loop[:, EdgeColumn.VERTEX].astype(int).tolist()
-    vertices = np.zeros((max(corner, default=-1) + 1, 2))
-    vertices[corner] = loop[:, START] + numbers[CENTROID]
+    lines = tensor.lines[tensor.lines[:, LineColumn.PANEL] == row].astype(float)
+    ends = lines[:, [LineColumn.VERTEX, LineColumn.END]].astype(int)
+    vertices = np.zeros((max((*corner, *ends.ravel().tolist()), default=-1) + 1, 2))
+    for vertex, points in ((ends[:, 0], lines[:, START]), (ends[:, 1], lines[:, END]), (corner, loop[:, START])):
+        vertices[vertex] = points + numbers[CENTROID]
     edges = tuple(
         Edge(
             start,
@@ -430,10 +514,19 @@ def _panel(tensor: PatternTensor, row: int, loop: Float[np.ndarray, "n 13"]) -> 
         for entry, start, end in zip(loop, corner, corner[1:] + corner[:1], strict=True)
     )
     label = role_of(PanelRole, tensor.panel_labels[int(numbers[PanelColumn.LABEL])])
-    return Panel(tensor.panel_names[row], vertices, edges, placement, label)
+    drawn = tuple(
+        InnerLine(
+            start,
+            end,
+            _curve(entry, vertices[start], vertices[end], numbers[CENTROID]),
+            LINE_ROLES[int(entry[LineColumn.ROLE])],
+        )
+        for entry, (start, end) in zip(lines, ends.tolist(), strict=True)
+    )
+    return Panel(tensor.panel_names[row], vertices, edges, placement, label, drawn)
 
 
-def _curve(entry: Float[np.ndarray, "13"], start: np.ndarray, end: np.ndarray, centroid: np.ndarray) -> Curve:
+def _curve(entry: Float[np.ndarray, " n"], start: np.ndarray, end: np.ndarray, centroid: np.ndarray) -> Curve:
     def framed(columns: slice) -> tuple[float, float]:
         return to_frame(_point(start), _point(end), _point(entry[columns] + centroid))
 

@@ -1,10 +1,10 @@
 """The ease of a garment: girths and lengths of its cloth, as cut and as worn, beside those of its wearer.
 
 A figure of cloth is the length of a section with a plane, measured in the panels' planes: each crossed triangle
-contributes the length of the cut in ``BoxMesh.uv``, so neither stretch nor folds count. As cut, the plane cuts the
-panels where the pattern has them, see ``placed_as_cut``. A section of a drape rises and falls in its folds, so it is
-longer than the cloth is wide. As worn, therefore, a panel counts by the way across it, with the net rise over it:
-folds rise and fall again, a tilted section does not.
+contributes the length of the cut in ``BoxMesh.uv``, so neither stretch nor folds count, nor the extensions of a
+buttoned front. As cut, the plane cuts the panels where the pattern has them, see ``placed_as_cut``. A section of a
+drape rises and falls in its folds, so it is longer than the cloth is wide. As worn, therefore, a panel counts by the
+way across it, with the net rise over it: folds rise and fall again, a tilted section does not.
 
 Planes are level at the trunk, and normal to the axis of the limb at arms and legs: of the right one, or of the left one
 if no cloth goes round the right one. A skirt goes round both legs, in a level plane.
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.generator.body.limbs import FRONT, UP, along_arm, leg_of, limbs_of
-from gcd_dataset.generator.body.section import Plane, Skin, loops, section, skin_of, unit
+from gcd_dataset.generator.body.section import Plane, Skin, loops, loose_ends, section, skin_of, unit
 from gcd_dataset.generator.dressing.as_cut import placed_as_cut
 from gcd_dataset.generator.dressing.flat_cloth import uphill
 from gcd_dataset.generator.garments.rules import NECKLINE, neckline_girth
@@ -192,6 +192,7 @@ class _Cloth:
     def ring(self, plane: Plane) -> Float[np.ndarray, "s 2 6"] | None:
         """The shortest closed section round the plane's centre; ``None`` where there is none."""
         cut = self.section(plane)
+        cut = cut[~loose_ends(cut[:, :, :3])]
         if not len(cut):
             return None
         loop = loops(cut[:, :, :3])

@@ -64,10 +64,10 @@ class SheetPanel:
     shift: Float[np.ndarray, "2"]
     """From the panel's plane to the sheet: x to the right, y up from the sheet's lower left corner [cm]."""
     seams: tuple[int | None, ...]
-    """Index of each edge's seam in the pattern; ``None``: no seam."""
+    """Index of the seam of each edge, then of each line, in the pattern; ``None``: no seam."""
 
     def edge_points(self, index: int) -> Float[np.ndarray, "n 2"]:
-        """Points along an edge, both ends included, in the panel's plane [cm]."""
+        """Points along an edge or line, both ends included, in the panel's plane [cm]."""
         return _edge_points(self.panel, index)
 
     @functools.cached_property
@@ -134,7 +134,7 @@ def boxes_by_name(
 def _sheet_panels(pattern: Pattern, shifts: Mapping[str, Float[np.ndarray, "2"]]) -> Iterator[SheetPanel]:
     seam_of = {side: number for number, seam in enumerate(pattern.seams) for side in (seam.left, seam.right)}
     for number, panel in enumerate(pattern.panels):
-        seams = tuple(seam_of.get(EdgeRef(panel.name, index)) for index in range(len(panel.edges)))
+        seams = tuple(seam_of.get(EdgeRef(panel.name, index)) for index in range(len(panel.edges) + len(panel.lines)))
         yield SheetPanel(panel, number, shifts[panel.name], seams)
 
 
@@ -162,7 +162,7 @@ def pack(sizes: Float[np.ndarray, "p 2"], *, width: float, gap: float) -> tuple[
 
 
 def _edge_points(panel: Panel, index: int) -> Float[np.ndarray, "n 2"]:
-    edge = panel.edges[index]
+    edge = panel.edge(index)
     return sample_curve(*panel.edge_ends(index), edge.curve, 2 if edge.curve == LINE else CURVE_POINTS)
 
 

@@ -23,7 +23,7 @@ from gcd_dataset.generator.lay_plan import (
     lay_out_nest,
     seam_colour,
 )
-from gcd_dataset.records import Pattern
+from gcd_dataset.records import InnerLine, Pattern
 
 __all__ = ["nest_svg", "pattern_svg"]
 
@@ -117,8 +117,11 @@ def _panel(piece: SheetPanel, height: float, ink: RGB | None = None, *, is_named
     ElementTree.SubElement(group, "path", {"d": loop} | ({} if ink else {"fill": _hex(cloth_colour(piece.number))}))
     for index, seam in enumerate(piece.seams):
         start, end = piece.panel.edge_ends(index)
+        edge = piece.panel.edge(index)
         attributes = {"data-edge": str(index)} | ({} if seam is None else {"data-seam": str(seam)})
-        line = f"M{_point(start)} {_command(start, end, piece.panel.edges[index].curve)}"
+        if isinstance(edge, InnerLine):
+            attributes |= {"data-role": shown(edge.role), "stroke-width": str(0.5 * LINE_WIDTH)}
+        line = f"M{_point(start)} {_command(start, end, edge.curve)}"
         ElementTree.SubElement(group, "path", {"d": line, "stroke": _hex(ink or seam_colour(seam)), **attributes})
     group.append(_grain_line(piece, ink or INK))
     if not is_named:
@@ -162,7 +165,7 @@ def _arrow_head(x: float, tip: float, length: float) -> str:
 
 def _seam_number(piece: SheetPanel, index: int, seam: int) -> Node:
     """The number of a seam, on the cloth beside the middle of its edge."""
-    ends, half = (*piece.panel.edge_ends(index), piece.panel.edges[index].curve), np.array([0.5])
+    ends, half = (*piece.panel.edge_ends(index), piece.panel.edge(index).curve), np.array([0.5])
     (dx, dy), middle = curve_tangents(*ends, half)[0], curve_points(*ends, half)[0]
     size = min(SEAM_NUMBER, SEAM_SHARE * float(np.hypot(*np.subtract(ends[1], ends[0]))))
     inwards = piece.orientation * np.array([-dy, dx]) / max(float(np.hypot(dx, dy)), TINY)

@@ -19,11 +19,12 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item, UnknownKeyError, as_type, require_float_dtype, tensor_of
 from gcd_dataset.loaders.shards import StoredItems
 from gcd_dataset.loaders.worker import naming_full, sent, unwrap
-from gcd_dataset.tensors import EdgeColumn, StitchColumn
+from gcd_dataset.tensors import EdgeColumn, LineColumn, StitchColumn
 
 RAGGED = (
-    "panels", "edges", "stitches", "closures", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex",
-    "box", "verts", "stretch", "gap", "pressure", "panel_corners", "panel_corner_pixels", "panel_corner_visible",
+    "panels", "edges", "stitches", "closures", "lines", "faces", "uv", "panel_id", "labels", "seams", "corners",
+    "uv_vertex", "box", "verts", "stretch", "gap", "pressure", "panel_corners", "panel_corner_pixels",
+    "panel_corner_visible",
 )  # fmt: skip
 """Fields with a different number of rows in each garment."""
 
@@ -35,6 +36,7 @@ POINTS_TO: Mapping[str, tuple[tuple[slice, str], ...]] = {
     "seams": ((slice(0, 1), "vertices"), (slice(1, 2), "stitches")),
     "corners": ((WHOLE, "uv"),),
     "panel_id": ((WHOLE, "panels"),),
+    "lines": ((slice(LineColumn.PANEL, LineColumn.PANEL + 1), "panels"),),
     "edges": ((slice(EdgeColumn.PANEL, EdgeColumn.PANEL + 1), "panels"),),
     "stitches": ((slice(StitchColumn.LEFT, StitchColumn.RIGHT + 1), "edges"),),
 }
@@ -84,6 +86,7 @@ class _Batch(dict[str, Any]):
     edges: Float[Tensor, "*b e 13"] = _entry()
     stitches: Int[Tensor, "*b s 3"] = _entry()
     closures: Float[Tensor, "*b s 3"] = _entry()
+    lines: Float[Tensor, "*b n 16"] = _entry()
     faces: Int[Tensor, "*b f 3"] = _entry()
     panel_id: Int[Tensor, "*b f"] = _entry()
     corners: Int[Tensor, "*b f 3"] = _entry()
@@ -216,6 +219,10 @@ class PackedBatch(_Batch):
         first, last = self[f"{field}_ptr"][number : number + 2].tolist()
         columns = POINTS_TO.get(field, ())
         rows: Tensor = self[field][first:last].clone() if columns else self[field][first:last]
+        if field == "stitches" and "lines_ptr" in self:
+            sides, edges = rows[:, : StitchColumn.RIGHT + 1], self["edges_ptr"]
+            on_line = sides >= edges[-1]
+            sides[on_line] -= (edges[-1] - edges[number + 1] + self["lines_ptr"][number]).to(rows.dtype)
         for column, target in columns:
             entries = rows if rows.ndim == 1 else rows[:, column]
             entries -= starts_of(self, field, target)[number].to(rows.dtype)
@@ -321,8 +328,9 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     - Row numbers are offset to index the concatenated arrays: ``batch["verts"][batch["faces"]]`` are the triangles of
       the whole batch. ``faces``, ``uv_vertex`` and the first column of ``labels`` and ``seams`` refer to ``verts`` and
       ``box``; ``corners`` to ``uv``; ``panel_id`` and ``edges[:, EdgeColumn.PANEL]`` to ``panels``; ``stitches[:, :2]``
-      to ``edges``; ``seams[:, 1]`` to ``stitches``. Data types stay. The field referred to must be in the items. The
-      second column of ``labels`` stays a row of each garment's ``edge_labels``.
+      to ``edges``, and from the number of edges on to ``lines``; ``seams[:, 1]`` to ``stitches``. Data types stay. The
+      field referred to must be in the items. The second column of ``labels`` stays a row of each garment's
+      ``edge_labels``.
     - Tensors of equal shape, such as ``body``, ``points``, ``front`` and ``back``, are stacked to [B, …]. A picture
       without pixels, of a garment that was not draped, becomes black if another of the batch has pixels.
     - Any other value, such as parsed JSON or the entries a ``transform`` adds, becomes a list of length B.
@@ -347,7 +355,22 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
             batch[field] = _concatenated(values, counts[field], dtype, starts, field)
         else:
             batch[field] = _stacked(values, dtype, field, isinstance(items, StoredItems))
+    if "stitches" in batch and any(counts.get("lines", [1])):
+        _refer_to_lines(batch, counts["stitches"])
     return unwrap(sent(batch))
+
+
+def _refer_to_lines(batch: PackedBatch, counts: Sequence[int]) -> None:
+    """Let sides of ``stitches`` beyond a garment's edges refer to ``lines``: beyond the edges of the whole batch."""
+    edges, sides = batch["edges_ptr"], batch["stitches"][:, : StitchColumn.RIGHT + 1]
+    owner = torch.arange(len(counts)).repeat_interleave(torch.tensor(counts))
+    on_line = sides >= edges[1:][owner].to(sides)[:, None]
+    if not on_line.any():
+        return
+    if "lines_ptr" not in batch:
+        raise ConfigError("stitches holds rows of lines: load the field lines too")
+    shift = edges[-1] - edges[1:] + batch["lines_ptr"][:-1]
+    sides += on_line * shift[owner].to(sides)[:, None]
 
 
 def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = None) -> PaddedBatch:

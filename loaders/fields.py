@@ -35,6 +35,8 @@ class GarmentFields(TypedDict, total=False):
     """A row for each seam; columns of ``StitchColumn``."""
     closures: Float[Tensor, "s 3"]
     """How far the same seams are joined, and by what; columns of ``ClosureColumn``."""
+    lines: Float[Tensor, "n 16"]
+    """Lines inside the panels [cm]; columns of ``LineColumn``."""
     body: Float[Tensor, " k"]
     """Weights of the wearer's shape components [standard deviations]."""
     faces: Int[Tensor, "f 3"]

@@ -35,12 +35,13 @@ class SeamGraph:
 
 
 def seam_graph(garment: Item | PackedBatch) -> SeamGraph:
-    """The seams of a garment, or of all garments of a batch, as a graph of edges and panels.
+    """The seams of a garment, or of all garments of a batch, as a graph of edges and panels; without those of lines.
 
     Raises ``ConfigError`` without the fields ``edges`` and ``stitches``, or for a padded batch.
     """
     edges, stitches = _rows(garment, "edges"), _rows(garment, "stitches")
     joined = stitches[:, [StitchColumn.LEFT, StitchColumn.RIGHT]].long().T
+    joined = joined[:, (joined < len(edges)).all(dim=0)]
     sewn = torch.cat([joined, joined.flip(0)], dim=1)
     panel = edges[:, EdgeColumn.PANEL].long().contiguous()
     row = torch.arange(len(edges), device=edges.device)

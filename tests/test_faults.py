@@ -20,7 +20,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import Rule, Severity, check_pattern, require_valid
 from gcd_dataset.generator import make
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.records import Closure, Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Closure, Edge, EdgeRef, InnerLine, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern
 
 HERE = Placement(np.zeros(3), np.zeros(3))
@@ -64,6 +64,12 @@ def alone_sewn(panel: Panel, *pairs: tuple[int, int]) -> Pattern:
 
 
 WITH_DART = polygon((0, 0), (20, 0), (20, 20), (10.2, 20), (10, 8), (9.8, 20), (0, 20))
+
+
+def lined(*ends: tuple[float, float]) -> Panel:
+    """The square of 10 cm with a line from each vertex after its corners to the next but one."""
+    lines = tuple(InnerLine(4 + i, 5 + i) for i in range(0, len(ends), 2))
+    return replace(square(), vertices=np.concatenate([square().vertices, ends]), lines=lines)
 
 
 def labelled(panel: Panel, index: int, label: str) -> Panel:
@@ -114,6 +120,14 @@ BROKEN: dict[Rule, tuple[Callable[[], Pattern], str, int | None, str]] = {
         1,
         "left_collar and right_collar",
     ),
+    Rule.LINE: (lambda: alone(lined((2, 2), (2, 2))), "front", None, "line 0, from vertex 4 to 5: correct its ends"),
+    Rule.LINE_CROSSING: (
+        lambda: alone(lined((2, 2), (12, 3))),
+        "front",
+        None,
+        "line 0 meets the outline at (10.00, 2.80) cm: part them",
+    ),
+    Rule.LINE_OUTSIDE: (lambda: alone(lined((12, 2), (12, 9))), "front", None, "line 0: draw it inside the outline"),
     Rule.CLOSURE: (
         lambda: sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 3), closed=(0.8, 0.2))),
         "front",
@@ -180,6 +194,23 @@ def test_a_closure_is_a_known_one_within_its_seam(closure: str, closed: tuple[fl
     faults = check_pattern(pattern)
     assert [(fault.rule, fault.panel, fault.edge) for fault in faults] == [(Rule.CLOSURE, "front", 1)][: bool(figure)]
     assert all(figure in fault.figure for fault in faults)
+
+
+def test_lines_meet_in_common_vertices_alone() -> None:
+    assert not check_pattern(alone(lined((2, 2), (8, 8), (2, 8), (4, 6))))
+    [fault] = check_pattern(alone(lined((2, 2), (8, 8), (2, 8), (8, 2))))
+    assert "line 1 meets line 0 at (5.00, 5.00) cm" in fault.figure
+    across = replace(square(), lines=(InnerLine(0, 2), InnerLine(1, 3)))
+    assert [fault.rule for fault in check_pattern(alone(across))] == [Rule.LINE_CROSSING]
+    assert not check_pattern(alone(replace(across, lines=across.lines[:1])))
+
+
+def test_a_seam_may_join_a_line_that_is_there() -> None:
+    front = lined((2, 1), (2, 9.5))
+    for line, rules in ((4, []), (5, [Rule.NO_SUCH_EDGE])):
+        seams = (Seam(EdgeRef("front", line), EdgeRef("back", 3), right_wrong=True),)
+        found = check_pattern(Pattern("p", (front, square("back")), seams))
+        assert [fault.rule for fault in found if fault.severity is Severity.ERROR] == rules
 
 
 def test_a_narrow_dart_is_found_whole_and_a_wide_one_is_none() -> None:

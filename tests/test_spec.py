@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, curve_points
 from gcd_dataset.errors import SpecError
-from gcd_dataset.records import Closure, Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Closure, Edge, EdgeRef, InnerLine, LineRole, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import (
     euler_angles,
     panel_order,
@@ -73,6 +73,37 @@ def test_closures_survive_writing_and_reading(first: tuple[Closure | str, tuple[
         panel["edges"] = panel["edges"][1:] + panel["edges"][:1]
     moved = pattern_from_spec(spec, "tube").seams
     assert [(seam.closure, seam.closed) for seam in moved] == [first, (Closure.BUTTONS, (0.1, 0.9))]
+
+
+roles = st.sampled_from([*LineRole, "pleat"])
+ends = st.integers(0, 5)
+
+
+@given(st.lists(st.builds(InnerLine, ends, ends, st.sampled_from([LINE, Quadratic((0.5, 0.2))]), roles), max_size=3))
+def test_lines_and_their_seams_survive(lines: list[InnerLine]) -> None:
+    """The stitches that other readers see name edges alone."""
+    pattern = closing(tube(), (Closure.SEWN, (0.0, 0.5)))
+    back = replace(pattern.panel("back"), lines=tuple(lines))
+    back = replace(back, vertices=np.concatenate([back.vertices, [[5.0, 5.0], [9.0, 9.0]]]))
+    joins = [Seam(EdgeRef("back", 4 + i), EdgeRef("front", 0), i == 1, Closure.BUTTONS) for i in range(len(lines))]
+    seams = (*joins[:1], *pattern.seams, *joins[1:])
+    pattern = replace(pattern, panels=(back, pattern.panels[1]), seams=seams)
+    spec = parsed(pattern)
+    assert pattern_from_spec(spec, "tube", source="") == replace(pattern, extra=pattern_from_spec(spec, "tube").extra)
+    assert all(side["edge"] < 4 for stitch in spec["pattern"]["stitches"] for side in stitch[:2])
+    assert ("line_stitches" in spec["pattern"]) == bool(lines)
+    del spec["properties"]["normalized_edge_loops"]
+    for entry in spec["pattern"]["panels"].values():
+        entry["edges"] = entry["edges"][1:] + entry["edges"][:1]
+    assert pattern_from_spec(spec, "tube").panel("back").lines == back.lines
+
+
+def test_a_stitch_to_a_missing_line_is_named() -> None:
+    spec = parsed(tube())
+    side = {"panel": "back", "line": 1}
+    spec["pattern"]["line_stitches"] = [{"seam": 0, "sides": [side, {"panel": "front", "edge": 0}]}]
+    with pytest.raises(SpecError, match="tube: line stitch 0: panel back has no line 1: correct panel or line"):
+        pattern_from_spec(spec, "tube")
 
 
 def test_a_reader_of_stitches_alone_sews_every_seam() -> None:

@@ -11,12 +11,25 @@ from hypothesis import strategies as st
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.patternhash import STEP, PatternHash, hash_pattern
-from gcd_dataset.records import Closure, Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam
+from gcd_dataset.records import (
+    Closure,
+    Edge,
+    EdgeRef,
+    EdgeRole,
+    InnerLine,
+    LineRole,
+    Panel,
+    PanelRole,
+    Pattern,
+    Placement,
+    Seam,
+)
 from gcd_dataset.spec import read_pattern
 from gcd_dataset.tensors import (
     EDGE_LABELS,
     PANEL_LABELS,
     EdgeColumn,
+    LineColumn,
     PanelColumn,
     PatternTensor,
     StitchColumn,
@@ -60,6 +73,31 @@ def test_closures_survive_and_leave_the_stitches_alone() -> None:
         assert tensor.closures.tolist() == [[kind, 0.3, 1.0]]
         assert decode_pattern(tensor).seams == closed.seams
         assert np.array_equal(tensor.stitches, encode_pattern(sewn).stitches)
+
+
+def test_lines_survive_and_seams_name_them_after_the_edges() -> None:
+    """Patterns without lines have the arrays that they had."""
+    lines = (InnerLine(0, 4, Cubic((0.2, 0.1), (0.7, -0.1)), LineRole.FOLD), InnerLine(4, 6, Arc(9.0, False, True)))
+    vertices = np.concatenate([square().vertices, [[7.0, 5.0], [99.0, 99.0], [12.0, 9.0]]])
+    bare = Pattern("tent", (square(),), (Seam(EdgeRef("square", 0), EdgeRef("square", 1)),))
+    own = replace(square(), vertices=vertices, lines=lines)
+    pattern = replace(bare, panels=(own,), seams=(*bare.seams, Seam(EdgeRef("square", 5), EdgeRef("square", 2))))
+    tensor, plain = encode_pattern(pattern), encode_pattern(bare)
+    assert tensor.stitches.tolist() == [[0, 1, 0], [5, 2, 0]]
+    assert len(plain.lines) == 0
+    assert all(np.array_equal(getattr(tensor, name), getattr(plain, name)) for name in ("panels", "edges"))
+    read = decode_pattern(tensor)
+    assert read.seams == pattern.seams
+    [panel] = read.panels
+    assert [(line.start, line.end, line.role) for line in panel.lines] == [(0, 4, LineRole.FOLD), (4, 5, "stitch")]
+    for index in (4, 5):
+        before, after = (sample_curve(*p.edge_ends(index), p.edge(index).curve, 9) for p in (own, panel))
+        assert np.allclose(before, after, rtol=0, atol=LOSSLESS)
+    moved = tensor.lines.copy()
+    moved[1, LineColumn.END_X] += 1.0
+    assert hash_pattern(0, tensor).value != hash_pattern(0, replace(tensor, lines=moved)).value
+    with pytest.raises(PatternError, match="panel square, line 0: role pleat: give one of fold, placement, stitch"):
+        encode_pattern(replace(pattern, panels=(replace(own, lines=(InnerLine(0, 2, role="pleat"),)),), seams=()))
 
 
 def assert_same(ours: Pattern, theirs: Pattern) -> None:

@@ -344,4 +344,4 @@ def _cap_and_armhole(pattern: Pattern, side: str) -> tuple[float, float]:
 
 def _length(pattern: Pattern, ref: EdgeRef) -> float:
     panel = pattern.panel(ref.panel)
-    return curve_length(*panel.edge_ends(ref.edge), panel.edges[ref.edge].curve)
+    return curve_length(*panel.edge_ends(ref.edge), panel.edge(ref.edge).curve)

@@ -19,7 +19,8 @@ from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
-from gcd_dataset.generator.mesh.coarse import barycentric, coarse_start
+from gcd_dataset.generator.mesh.coarse import coarse_start
+from gcd_dataset.generator.mesh.triangulate import barycentric
 from gcd_dataset.records import BoxMesh
 
 AT_ONCE = 32  # garments whose crossings are counted together

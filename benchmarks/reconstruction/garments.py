@@ -31,6 +31,7 @@ from gcd_dataset.tensors import (
     EdgeColumn,
     PanelColumn,
     PatternTensor,
+    StitchColumn,
     decode_pattern,
     sewn_rows,
 )
@@ -204,6 +205,7 @@ def pattern_of(arrays: Arrays) -> Pattern:
 def _tensor(arrays: Arrays) -> PatternTensor:
     panels, edges, stitches = arrays
     panels, edges = panels.copy(), edges.copy()
+    stitches = stitches[(stitches[:, : StitchColumn.RIGHT + 1] < len(edges)).all(axis=1)]  # without those of lines
     panels[panels[:, PanelColumn.LABEL] >= len(PANEL_LABELS), PanelColumn.LABEL] = 0
     edges[edges[:, EdgeColumn.LABEL] >= len(EDGE_LABELS), EdgeColumn.LABEL] = 0
     return PatternTensor(

@@ -32,7 +32,7 @@ from gcd_dataset.shards import encode_sample, meta, notes
 from gcd_dataset.shards.codec import WIDTHS
 from gcd_dataset.shards.layout import FIELDS
 from gcd_dataset.shards.sections import unpack
-from gcd_dataset.tensors import CLOSURES, COLUMNS, CurveKind
+from gcd_dataset.tensors import CLOSURES, COLUMNS, LINE_ROLES, CurveKind
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = (
@@ -48,16 +48,16 @@ DOCUMENTS = (
 """Documents with generated parts."""
 
 ROWS: Mapping[str, str] = {
-    "panels": "p", "edges": "e", "stitches": "s", "closures": "s", "body": "k", "faces": "f", "uv": "c",
+    "panels": "p", "edges": "e", "stitches": "s", "closures": "s", "lines": "n", "body": "k", "faces": "f", "uv": "c",
     "panel_id": "f", "labels": "l", "seams": "m", "corners": "f", "uv_vertex": "c", "box": "v", "verts": "v",
     "points": "n",
 }  # fmt: skip
 """Field to the letter of its first axis."""
 UNITS: Mapping[str, str] = {
     "meta": "", "spec": "cm, degrees", "design": "1", "measures": "cm, degrees", "panels": "cm, rad, rows",
-    "edges": "cm, rows", "stitches": "rows", "closures": "1", "body": "standard deviations", "faces": "rows",
-    "uv": "cm", "panel_id": "rows", "labels": "rows", "seams": "rows", "corners": "rows", "uv_vertex": "rows",
-    "box": "cm", "verts": "cm", "points": "cm, 1", "front": "sRGB", "back": "sRGB",
+    "edges": "cm, rows", "stitches": "rows", "closures": "1", "lines": "cm, rows", "body": "standard deviations",
+    "faces": "rows", "uv": "cm", "panel_id": "rows", "labels": "rows", "seams": "rows", "corners": "rows",
+    "uv_vertex": "rows", "box": "cm", "verts": "cm", "points": "cm, 1", "front": "sRGB", "back": "sRGB",
 }  # fmt: skip
 """Field to the unit of an item's values."""
 
@@ -131,8 +131,11 @@ def columns_table() -> str:
         rows = [(str(column.value), f"`{column.name}`", docs.get(column.name, "")) for column in columns]
         parts += [f"**`{name}`** (`{columns.__name__}`)", table(("column", "name", "holds"), rows)]
     kinds = ", ".join(f"{kind.value} {_words(kind)}" for kind in CurveKind)
-    closures = ", ".join(f"{number} {closure}" for number, closure in enumerate(CLOSURES))
-    kinds = f"`EdgeColumn.KIND` is one of `CurveKind`: {kinds}. `ClosureColumn.KIND` is one of `CLOSURES`: {closures}."
+    closures, roles = (", ".join(f"{i} {word}" for i, word in enumerate(words)) for words in (CLOSURES, LINE_ROLES))
+    kinds = (
+        f"`EdgeColumn.KIND` is one of `CurveKind`: {kinds}. `ClosureColumn.KIND` is one of `CLOSURES`: {closures}. "
+        f"`LineColumn.ROLE` is one of `LINE_ROLES`: {roles}."
+    )
     return "\n\n".join([*parts, kinds])
 
 
@@ -265,7 +268,7 @@ def field_docs(owner: type) -> dict[str, str]:
     """Attribute to the docstring below it.
 
     >>> field_docs(COLUMNS["stitches"])["RIGHT"]
-    'Row of `edges`.'
+    'As `LEFT`.'
     """
     (body,) = (node.body for node in ast.parse(textwrap.dedent(inspect.getsource(owner))).body if hasattr(node, "body"))
     found = {}

@@ -1,7 +1,7 @@
 """Faults of one garment, from the fields of its item."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,6 +17,7 @@ from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import MISFITS, Grade, Outcome, Pattern
 from gcd_dataset.spec import pattern_from_spec
 from gcd_dataset.tensors import (
+    NO_LINES,
     CurveKind,
     EdgeColumn,
     PatternTensor,
@@ -30,12 +31,12 @@ Fault = tuple[Check, str]
 """A check, and the fault in words without figures of the garment: equal faults are counted together."""
 
 FIELDS_READ = (
-    "meta", "spec", "design", "measures", "panels", "edges", "stitches", "closures", "body", "faces", "uv", "panel_id",
-    "seams", "corners", "uv_vertex", "box", "verts", "points",
+    "meta", "spec", "design", "measures", "panels", "edges", "stitches", "closures", "lines", "body", "faces", "uv",
+    "panel_id", "seams", "corners", "uv_vertex", "box", "verts", "points",
 )  # fmt: skip
 """The fields that are examined; pictures and captions are not."""
 ARRAYS = tuple(field for field in FIELDS_READ if field not in ("meta", "spec", "design", "measures"))
-FLOATS = ("panels", "edges", "closures", "body", "uv", "box", "verts", "points")
+FLOATS = ("panels", "edges", "closures", "lines", "body", "uv", "box", "verts", "points")
 PLACED = ("verts", "box")  # in this order: the drape, or the mesh before sewing
 
 SMALLEST, LARGEST = 10.0, 400.0  # cm: extent of a draped garment, belts and trains included
@@ -90,6 +91,7 @@ class CheckedGarment:
             panel_names=tuple(meta["panel_names"]),
             panel_labels=tuple(meta["panel_labels"]),
             edge_labels=tuple(meta["edge_labels"]),
+            lines=self.arrays.get("lines", NO_LINES),
         )
 
     @cached_property
@@ -149,16 +151,16 @@ def _reference_faults(garment: CheckedGarment) -> Iterator[str]:
             yield f"{one} and {other} differ in length"
     if garment.has("stitches", "edges"):
         ends = arrays["stitches"][:, [StitchColumn.LEFT, StitchColumn.RIGHT]]
-        if not _are_rows(ends, arrays["edges"]):
-            yield "stitches refers to rows that edges lacks"
+        if not _are_rows(ends, [*arrays["edges"], *arrays.get("lines", ())]):
+            yield "stitches refers to rows that edges and lines lack"
     if garment.has("panels") and len(garment.meta["panel_names"]) != len(arrays["panels"]):
         yield "panels and meta[panel_names] differ in length"
     if garment.tensor is not None and garment.pattern is None:
-        yield "panels, edges, stitches and closures are not a pattern"
+        yield "panels, edges, stitches, closures and lines are not a pattern"
     yield from _spec_faults(garment)
 
 
-def _are_rows(ids: np.ndarray, target: np.ndarray | None) -> bool:
+def _are_rows(ids: np.ndarray, target: Sized | None) -> bool:
     """Whether all ids are rows of ``target``; a field that was not read is not examined."""
     return target is None or bool(0 <= ids.min() <= ids.max() < len(target))
 
@@ -170,7 +172,7 @@ def _spec_faults(garment: CheckedGarment) -> Iterator[str]:
         return
     if set(pattern.get("panels", ())) != set(garment.meta["panel_names"]):
         yield "spec and panels have different panels"
-    elif len(pattern.get("stitches", ())) != len(garment.arrays["stitches"]):
+    elif sum(len(pattern.get(key) or ()) for key in ("stitches", "line_stitches")) != len(garment.arrays["stitches"]):
         yield "spec and stitches have different stitches"
     elif garment.has("closures") and ("closures" in pattern or (garment.arrays["closures"] != sewn_rows(1)).any()):
         try:
@@ -299,6 +301,7 @@ def _can_be_turned(
     turned = np.zeros(count, bool)
     if stitches is not None and len(stitches):
         ends = stitches[stitches[:, 2] != 0, :2].astype(int)
+        ends = ends[(ends < len(edges)).all(axis=1)]  # a seam of a line turns nothing over
         turned[edges[ends.ravel(), EdgeColumn.PANEL].astype(int)] = True
     return turned
 

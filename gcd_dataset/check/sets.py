@@ -19,7 +19,7 @@ COMMON_BODIES = ("neutral", "female", "male", "mean_all", "")
 DOMINANT, FEWEST = 0.9, 20  # share of one kind, among at least so many garments
 DISTANCE = 0.1  # total variation between the shares of two splits, beyond that of chance
 KINDS = ("upper", "bottom")
-OPTIONAL = ("stitches", "closures", "seams")  # a garment of one piece may have no seam
+OPTIONAL = ("stitches", "closures", "lines", "seams")  # a garment of one piece may have no seam
 
 
 class SplitCensus:

@@ -73,6 +73,7 @@ def encode(pattern: Pattern) -> AIpparelTokens:
 
     Raises ``PatternError`` for more than 108 seams, an open loop, or a seam to a missing edge.
     """
+    pattern = pattern.without_lines()
     if len(pattern.seams) > TAGS:
         raise PatternError(
             f"{shown(pattern.name)}: {len(pattern.seams)} seams, AIpparel has {TAGS} stitch tags: leave the garment out"

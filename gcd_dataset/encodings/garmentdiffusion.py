@@ -75,6 +75,7 @@ def encode(
 
     Raises ``PatternError`` for too many panels or edges, an open loop or a seam to a missing edge.
     """
+    pattern = pattern.without_lines()
     require_room(pattern, panels=max_panels, edges=max_edges, what="GarmentDiffusion's arrays")
     array = np.zeros((max_panels, max_edges, WIDTH))
     for number, panel in enumerate(pattern.panels):

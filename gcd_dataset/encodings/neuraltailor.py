@@ -102,6 +102,7 @@ def encode(pattern: Pattern, *, max_panels: int = MAX_PANELS, max_edges: int = M
 
     Raises ``PatternError`` for too many panels or edges, an open loop or a seam to a missing edge.
     """
+    pattern = pattern.without_lines()
     require_room(pattern, panels=max_panels, edges=max_edges, what="NeuralTailor's arrays")
     outlines = np.zeros((max_panels, max_edges, 4))
     for row, panel in enumerate(pattern.panels):

@@ -88,6 +88,7 @@ def encode(
     pattern: Pattern, *, numbers: Literal[4, 7] = 4, max_panels: int = MAX_PANELS, max_edges: int = MAX_EDGES
 ) -> SewFormerArrays:
     """The pattern's panels, in their order, as SewFormer's arrays. Raises ``PatternError`` as ``neuraltailor`` does."""
+    pattern = pattern.without_lines()
     require_room(pattern, panels=max_panels, edges=max_edges, what="SewFormer's arrays")
     count = max_panels * max_edges
     outlines = np.zeros((max_panels, max_edges, numbers))

@@ -156,6 +156,7 @@ def encode(
 
     Raises ``PatternError`` for too many panels or edges, an open loop, a seam to a missing edge or an unknown label.
     """
+    pattern = pattern.without_lines()
     require_room(pattern, panels=max_panels, edges=max_edges, what="SewingLDM's arrays")
     array = np.zeros((max_panels, max_edges, WIDTH))
     array[..., CONTINUOUS:] = -1.0

@@ -57,6 +57,8 @@ class DxfLayer(StrEnum):
     MIRROR = "6"
     """Line at which the cloth is folded."""
     GRAIN = "7"
+    INTERNAL = "8"
+    """Lines inside a piece."""
     DRILL = "13"
     SEW = "14"
     ANNOTATION = "15"
@@ -135,6 +137,9 @@ def _draw_piece(block: Any, piece: CutPiece, name: str, facts: Iterable[str]) ->
         block.add_point(_mm(hole), dxfattribs={"layer": DxfLayer.DRILL.value})
     for fold in piece.folds:
         block.add_line(_mm(fold[0]), _mm(fold[1]), dxfattribs={"layer": DxfLayer.MIRROR.value})
+    for line in piece.lines:
+        points = [_mm(point) for point in line]
+        block.add_polyline2d(points, dxfattribs={"layer": DxfLayer.INTERNAL.value})
     block.add_line(_mm(piece.grain[0]), _mm(piece.grain[1]), dxfattribs={"layer": DxfLayer.GRAIN.value})
     for number in piece.numbers:
         height = min(NUMBER, 0.3 * MM * number.room)

@@ -59,7 +59,7 @@ def seam_vertices(mesh: BoxMesh, pattern: Pattern) -> tuple[Int[np.ndarray, " n"
     ordered = []
     for number, seam in enumerate(pattern.seams):
         panel = pattern.panel(seam.left.panel)
-        edge = panel.edges[seam.left.edge]
+        edge = panel.edge(seam.left.edge)
         line = shapely.LineString(sample_curve(*panel.edge_ends(seam.left.edge), edge.curve, CURVE_POINTS))
         number_of_panel = mesh.panel_names.index(panel.name)
         vertices = np.unique(mesh.seams[mesh.seams[:, 1] == number, 0])

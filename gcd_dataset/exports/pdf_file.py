@@ -11,6 +11,7 @@ import contextlib
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from string import ascii_uppercase
 from typing import Any
@@ -375,6 +376,9 @@ def _draw_piece(canvas: Any, piece: CutPiece, size: str) -> None:
     for fold in piece.folds:
         _draw_fold(canvas, fold)
     canvas.setLineWidth(GRAIN_WIDTH)
+    for line in piece.lines:
+        for start, end in pairwise(line.tolist()):
+            canvas.line(*start, *end)
     _arrow(canvas, *piece.grain)
     _arrow(canvas, *piece.grain[::-1])
     x, y = (0.98 * piece.cut[np.linalg.norm(piece.cut, axis=1).argmax()]).tolist()

@@ -87,6 +87,8 @@ class CutPiece(Record):
     """Drill holes before the tips of darts."""
     folds: tuple[Float[np.ndarray, "2 2"], ...]
     """Ends of the edges at folds."""
+    lines: tuple[Float[np.ndarray, "n 2"], ...]
+    """Points along the lines inside the panel."""
     grain: Float[np.ndarray, "2 2"]
     """Ends of the grain line, lower end first."""
     name_at: Float[np.ndarray, "2"]
@@ -125,7 +127,8 @@ def cut_pieces(pattern: Pattern, *, seam_allowance: float = 1.0) -> tuple[CutPie
 
 def _mirrored(panel: Panel) -> Panel:
     edges = tuple(replace(edge, curve=mirrored(edge.curve)) for edge in panel.edges)
-    return replace(panel, vertices=panel.vertices * [-1.0, 1.0], edges=edges)
+    lines = tuple(replace(line, curve=mirrored(line.curve)) for line in panel.lines)
+    return replace(panel, vertices=panel.vertices * [-1.0, 1.0], edges=edges, lines=lines)
 
 
 def _piece(sheet: SheetPanel, pattern: Pattern, allowance: float) -> CutPiece:
@@ -147,6 +150,9 @@ def _piece(sheet: SheetPanel, pattern: Pattern, allowance: float) -> CutPiece:
         notches=_notches(panel, pattern, darts, cut, allowance),
         drills=np.array([dart.drill for dart in darts]).reshape(-1, 2),
         folds=tuple(np.array(panel.edge_ends(i)) for i, edge in enumerate(panel.edges) if edge.label == FOLD),
+        lines=tuple(
+            edge_polyline(*panel.edge_ends(i), line.curve) for i, line in enumerate(panel.lines, len(panel.edges))
+        ),
         grain=np.array([[x, y - half], [x, y + half]]),
         name_at=name_at,
         name_room=name_room,
@@ -210,7 +216,7 @@ def _darts(panel: Panel, pattern: Pattern, edges: list[Float[np.ndarray, "n 2"]]
             continue
         pair = (seam.left.edge, seam.right.edge)
         enter = next((i for i in pair if (i + 1) % count in pair), None)
-        if enter is None or count < 4:
+        if enter is None or count < 4 or max(pair) >= count:
             continue
         leave = (enter + 1) % count
         first, tip, second = edges[enter][0], edges[enter][-1], edges[leave][-1]
@@ -354,7 +360,7 @@ def _match_points(
             yield np.array(panel.edge_ends(after)[0]), _outward(arriving + leaving), True
     for seam in seams:
         for ref, flips in ((seam.left, False), (seam.right, not seam.right_wrong)):
-            if ref.panel == panel.name and ref.edge not in in_dart:
+            if ref.panel == panel.name and ref.edge in edges and ref.edge not in in_dart:
                 yield from _balance_marks(panel, ref.edge, _shares(seam, pattern), flips)
 
 
@@ -363,7 +369,7 @@ def _shares(seam: Seam, pattern: Pattern) -> tuple[float, ...]:
 
     The first of several is a double notch, which tells the ends of the seam apart.
     """
-    lengths = [pattern.panel(ref.panel).edge_lengths()[ref.edge] for ref in (seam.left, seam.right)]
+    lengths = [pattern.panel(ref.panel).lengths()[ref.edge] for ref in (seam.left, seam.right)]
     count = sum(min(lengths) >= limit for limit in MARKED)
     return tuple((i + 1) / (count + 1) for i in range(count))
 
@@ -409,8 +415,8 @@ def _way_out(
 
 def _numbers(sheet: SheetPanel) -> Iterator[EdgeText]:
     panel = sheet.panel
-    for edge, (seam, room) in enumerate(zip(sheet.seams, panel.edge_lengths(), strict=True)):
+    for edge, (seam, room) in enumerate(zip(sheet.seams, panel.lengths(), strict=True)):
         if seam is None:
             continue
-        before, middle, after = sample_curve(*panel.edge_ends(edge), panel.edges[edge].curve, 3)
+        before, middle, after = sample_curve(*panel.edge_ends(edge), panel.edge(edge).curve, 3)
         yield EdgeText(str(seam), middle, -_outward(after - before), room)

@@ -29,6 +29,7 @@ FIELD_DESCRIPTIONS: Mapping[str, str] = {
     "edges": "one row per edge",
     "stitches": "one row per seam",
     "closures": "one row per seam: sewn, open, zip or buttons, and the part of its length that is joined",
+    "lines": "one row per line inside a panel, such as the centre front of a buttoned shirt",
     "body": "weights of the body's shape components [standard deviations]",
     "faces": "triangles, rows of verts and box",
     "uv": "panel-plane coordinates of the seam-split vertices [cm]",

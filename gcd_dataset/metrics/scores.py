@@ -72,8 +72,10 @@ class PatternScore:
 def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
     """Scores of ``predicted`` against ``true``. Predicted panels without a closed outline match nothing.
 
-    Raises ``PatternError`` if a panel of ``true`` has no closed outline.
+    Lines inside panels, and their seams, are not scored. Raises ``PatternError`` if a panel of ``true`` has no closed
+    outline.
     """
+    predicted, true = predicted.without_lines(), true.without_lines()
     true_shapes = [PanelShape.of(panel) for panel in true.panels]
     predicted_shapes = [shape_or_none(panel) for panel in predicted.panels]
     pairs = match_shapes(predicted_shapes, true_shapes)

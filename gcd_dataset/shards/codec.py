@@ -6,9 +6,9 @@ edge, seam, vertex, …, and ``gcd_dataset.shards.meta`` the keys of ``meta.json
 
 ``.z`` members are containers of named arrays (``gcd_dataset.shards.sections``). ``faces``, ``panel_id``, ``box`` and
 the order of ``points`` follow from the stored sections; a mesh in which they do not follow has the sections ``faces``,
-``panel_id`` or ``box``. A pattern without the section ``closures`` is sewn from end to end. Positions are stored to
-within half a ``POSITION_STEP``, ``uv`` half a ``UV_STEP``, normals as octahedral coordinates (Cigolle et al., JCGT
-2014) within 0.23°. An array of a skipped step has no rows.
+``panel_id`` or ``box``. A pattern without the section ``closures`` is sewn from end to end, one without ``lines``
+has none. Positions are stored to within half a ``POSITION_STEP``, ``uv`` half a ``UV_STEP``, normals as octahedral
+coordinates (Cigolle et al., JCGT 2014) within 0.23°. An array of a skipped step has no rows.
 """
 
 import contextlib
@@ -88,7 +88,7 @@ from gcd_dataset.shards.meta import (
 )
 from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
-from gcd_dataset.tensors import COLUMNS, PanelColumn, PatternTensor, encode_pattern, sewn_rows
+from gcd_dataset.tensors import COLUMNS, NO_LINES, PanelColumn, PatternTensor, encode_pattern, sewn_rows
 
 if TYPE_CHECKING:
     from PIL import ImageFile
@@ -103,7 +103,7 @@ NO_PICTURE = (
 
 IDS = frozenset({"faces", "panel_id", "labels", "seams", "corners", "uv_vertex", "stitches"})
 """Fields that hold row numbers, int32."""
-DOUBLE = frozenset({"panels", "edges", "closures"})
+DOUBLE = frozenset({"panels", "edges", "closures", "lines"})
 """Fields of float64."""
 
 WIDTHS: Mapping[str, tuple[int, ...]] = {
@@ -207,6 +207,7 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
         "edges": tensor.edges,
         "stitches": np.asarray(tensor.stitches, np.int32),
         **({} if all(seam.is_plain for seam in sample.pattern.seams) else {"closures": tensor.closures}),
+        **({"lines": tensor.lines} if len(tensor.lines) else {}),
         "body": np.asarray([] if sample.shape is None else sample.shape.weights, np.float32),
     }
     vertices = np.zeros((0, 3), np.float32) if drape is None else drape.vertices
@@ -597,7 +598,7 @@ def _read_points(arrays: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "n 6"]
 
 
 DERIVED: Mapping[str, Callable[[Mapping[str, np.ndarray]], np.ndarray]] = {
-    "closures": lambda arrays: sewn_rows(len(arrays["stitches"])),
+    "closures": lambda arrays: sewn_rows(len(arrays["stitches"])), "lines": lambda arrays: NO_LINES.copy(),
     "faces": _faces, "panel_id": _panel_id, "box": _box, "points": _read_points,
 }  # fmt: skip
 """Field to the function that derives it from its sections, unless it is stored itself."""

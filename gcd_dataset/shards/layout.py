@@ -49,7 +49,7 @@ JOINT: Mapping[str, str] = {"views": "jpg", "camera_k": "json", "camera_rt": "js
 """Field decoded from a member of each view, with the ending of these members."""
 
 ARRAYS: Mapping[str, tuple[str, ...]] = {
-    "pattern.z": ("panels", "edges", "stitches", "closures", "body"),
+    "pattern.z": ("panels", "edges", "stitches", "closures", "lines", "body"),
     "mesh.z": ("faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box"),
     "verts.z": ("verts",),
     "points.z": ("points",),

@@ -170,7 +170,7 @@ def _panel_data(piece: SheetPanel) -> dict[str, Any]:
 
 def _seam_data(pattern: Pattern) -> Iterator[dict[str, Any]]:
     number = {panel.name: i for i, panel in enumerate(pattern.panels)}
-    lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
+    lengths = {panel.name: panel.lengths() for panel in pattern.panels}
     for i, (seam, ratio) in enumerate(zip(pattern.seams, pattern.gather_ratios(), strict=True)):
         sides = [_side(ref, lengths.get(ref.panel, [])) for ref in (seam.left, seam.right)]
         gathers = "" if 0.98 < ratio < 1.02 else f" · gathered {max(ratio, 1 / ratio):.2f} : 1"

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -96,11 +96,33 @@ def contour_length(segments: Float[np.ndarray, "s 2 3"]) -> float:
 
 def loops(segments: Float[np.ndarray, "s 2 3"]) -> Int[np.ndarray, " s"]:
     """Number of the connected loop of each segment."""
-    places = np.round(1e6 * segments.reshape(-1, 3)).astype(np.int64)
-    ends = np.unique(places @ PLACE_KEY, return_inverse=True)[1].reshape(-1, 2)
+    ends = _points_of(segments)
     size = int(ends.max(initial=0)) + 1
     graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(size, size))
     return connected_components(graph, directed=False)[1][ends[:, 0]]
+
+
+def loose_ends(segments: Float[np.ndarray, "s 2 3"]) -> Bool[np.ndarray, " s"]:
+    """Whether each segment is on a branch that ends nowhere, as an extension beyond the line of a buttoned front.
+
+    A curve without branches has none, whether it is closed or not.
+    """
+    ends, loose = _points_of(segments), np.zeros(len(segments), bool)
+    degree = np.bincount(ends.ravel(), minlength=1)
+    if degree.max() <= 2:
+        return loose
+    loop = loops(segments)
+    branched = np.isin(loop, loop[(degree[ends] > 2).any(axis=1)])
+    while (ending := branched & ~loose & (degree[ends] == 1).any(axis=1)).any():
+        loose |= ending
+        degree -= np.bincount(ends[ending].ravel(), minlength=len(degree))
+    return loose
+
+
+def _points_of(segments: Float[np.ndarray, "s 2 3"]) -> Int[np.ndarray, "s 2"]:
+    """The number of the point at both ends of each segment."""
+    places = np.round(1e6 * segments.reshape(-1, 3)).astype(np.int64)
+    return np.unique(places @ PLACE_KEY, return_inverse=True)[1].reshape(-1, 2)
 
 
 def rough_girths(points: Float[np.ndarray, "n 2"], group: Float[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:

@@ -165,7 +165,7 @@ def _prefixed(traits: Iterable[Words], nouns: Words) -> Words:
 def _darts(pattern: Pattern) -> tuple[Detail, ...]:
     """The darts: seams between two edges of one panel."""
     legs = [seam.left for seam in pattern.seams if seam.left.panel == seam.right.panel]
-    names = {pattern.panel(leg.panel).edges[leg.edge].name for leg in legs if leg.panel == "right_ftorso"}
+    names = {pattern.panel(leg.panel).edge(leg.edge).name for leg in legs if leg.panel == "right_ftorso"}
     waist = [panel for leg in legs if part_of(panel := pattern.panel(leg.panel)) == "bottom"]
     bust, below = "side_dart.0" in names, "waist_dart.0" in names
     found = []

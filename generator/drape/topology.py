@@ -55,7 +55,8 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
     world = wp.array(np.repeat(np.arange(len(jobs), dtype=np.int32), sizes), dtype=int, device=device)
     sheets = wp.array([sheet_of(job.fabric) for job in jobs], dtype=Sheet, device=device)
     surface = batch.surface(meshes)
-    hinges, edge_offset = batch.describe_edges(surface, start, world, sheets)
+    panel = batch.joined([mesh.panel_id for mesh in meshes], np.int32, int)
+    hinges, edge_offset = batch.describe_edges(surface, panel, start, world, sheets)
     batch.find_faces(surface)
     batch.find_edges(surface)
     rows = batch.rows(surface, coupled=not all(job.fabric.isotropic for job in jobs))
@@ -106,15 +107,18 @@ class MeshBatch:
         return surface
 
     def describe_edges(
-        self, surface: kernels.ClothSurface, start: wp.array, world: wp.array, sheets: wp.array
+        self, surface: kernels.ClothSurface, panel: wp.array, start: wp.array, world: wp.array, sheets: wp.array
     ) -> tuple[kernels.Hinges, np.ndarray]:
-        """Fills the edges of ``surface``; returns springs and hinges, and the first edge of each garment."""
+        """Fills the edges of ``surface``; returns springs and hinges, and the first edge of each garment.
+
+        ``panel``: (f) panel of each face.
+        """
         sides = 3 * int(self.faces[-1])
         keys, order, number = self.empty(2 * sides, wp.int64), self.empty(2 * sides, int), self.empty(sides, int)
         self.launch(kernels.key_sides, sides, [surface.faces], [keys, order])
         wp.utils.radix_sort_pairs(keys, order, sides)
         keys = keys[:sides]
-        self.launch(kernels.mark_firsts, sides, [keys], [number])
+        self.launch(kernels.mark_firsts, sides, [panel, keys], [order, number])
         wp.utils.array_scan(number, number, inclusive=True)
         first_sides = wp.array(3 * self.faces.astype(np.int32), dtype=int, device=self.device)
         edge_offset = self.empty(len(self.faces), int)

@@ -18,7 +18,7 @@ from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.dressing.frame import Wearer, height_for, placed_outline
 from gcd_dataset.generator.dressing.openings import edge_points, middle_of, openings_of, panel_outline
-from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern, Placement, Seam
+from gcd_dataset.records import BodyPart, Closure, Panel, PanelRole, Pattern, Placement, Seam
 from gcd_dataset.spec import role_by_name
 
 ASIDE = 0.1  # share of the trunk's half width: a panel nearer to the middle is not on an arm
@@ -122,7 +122,7 @@ class _FlatPanel:
 
     def edge(self, index: int) -> Complex[np.ndarray, " n"]:
         ends = self.panel.edge_ends(index)
-        return self.points(sample_curve(*ends, self.panel.edges[index].curve, ON_SEAM))
+        return self.points(sample_curve(*ends, self.panel.edge(index).curve, ON_SEAM))
 
     @functools.cached_property
     def polygon(self) -> shapely.Polygon:
@@ -164,7 +164,7 @@ def _flat_panel(panel: Panel) -> _FlatPanel:
 def _join_on_table(table: Sequence[_FlatPanel], pattern: Pattern) -> dict[str, _FlatPanel]:
     """The panels joined along their seams: the largest, then always the one with the longest seams to one of these."""
     waiting = {flat_panel.panel.name: flat_panel for flat_panel in table}
-    lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
+    lengths = {panel.name: panel.lengths() for panel in pattern.panels}
     first = max(
         waiting.values(),
         key=lambda flat_panel: (role_by_name(flat_panel.panel.name) is not PanelRole.ARM, flat_panel.polygon.area),
@@ -236,7 +236,7 @@ def _closed_share(table: Mapping[str, _FlatPanel], pattern: Pattern) -> float:
 
 def _hang(table: Mapping[str, _FlatPanel], pattern: Pattern, wearer: Wearer) -> Pattern:
     """The garment from the table placed before and behind the body."""
-    depths = _depths(table)
+    depths = _depths(table, pattern)
 
     def placed(panels: Mapping[str, _FlatPanel]) -> Pattern:
         return replace(
@@ -261,8 +261,12 @@ def _hang(table: Mapping[str, _FlatPanel], pattern: Pattern, wearer: Wearer) -> 
     return replace(hung, panels=tuple(replace(p, label=label) for p, label in zip(hung.panels, labels, strict=True)))
 
 
-def _depths(table: Mapping[str, _FlatPanel]) -> dict[str, float]:
-    """Distance of each panel from the innermost layer [cm]: a panel hangs outside those that it overlaps."""
+def _depths(table: Mapping[str, _FlatPanel], pattern: Pattern) -> dict[str, float]:
+    """Distance of each panel from the innermost layer [cm]: a panel hangs outside those that it overlaps.
+
+    Fronts with buttons hang side by side: the mesh parts their layers.
+    """
+    buttoned = [{seam.left.panel, seam.right.panel} for seam in pattern.seams if seam.closure == Closure.BUTTONS]
     depths: dict[str, float] = {}
     for name, flat_panel in table.items():
         shape = flat_panel.polygon
@@ -270,6 +274,7 @@ def _depths(table: Mapping[str, _FlatPanel]) -> dict[str, float]:
             depths[other] + STEP
             for other in depths
             if table[other].back == flat_panel.back
+            and {name, other} not in buttoned
             and shapely.intersection(shape, table[other].polygon).area
             > OVER * min(shape.area, table[other].polygon.area)
         ]

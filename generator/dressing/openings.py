@@ -51,8 +51,8 @@ def middle_of(openings: Sequence[Opening]) -> float:
 
 
 def edge_points(panel: Panel, index: int) -> Float[np.ndarray, "n 3"]:
-    """Points along an edge from start to end, in space [cm]."""
-    return panel.placement.apply(sample_curve(*panel.edge_ends(index), panel.edges[index].curve, POINTS))
+    """Points along an edge or line from start to end, in space [cm]."""
+    return panel.placement.apply(sample_curve(*panel.edge_ends(index), panel.edge(index).curve, POINTS))
 
 
 def panel_outline(panel: Panel) -> Float[np.ndarray, "n 2"]:
@@ -73,13 +73,13 @@ def _opening(pattern: Pattern, edges: tuple[EdgeRef, ...]) -> Opening:
 
 def _chains(pattern: Pattern) -> Iterable[tuple[EdgeRef, ...]]:
     """The chains of free edges, followed across the seams between them."""
+    sizes = {panel.name: len(panel.edges) for panel in pattern.panels}
     partner: dict[EdgeRef, tuple[EdgeRef, int]] = {}
     for seam in pattern.seams:
-        if seam.closure == Closure.OPEN:
+        if seam.closure == Closure.OPEN or any(ref.edge >= sizes[ref.panel] for ref in (seam.left, seam.right)):
             continue
         sign = -1 if seam.right_wrong else 1
         partner[seam.left], partner[seam.right] = (seam.right, sign), (seam.left, sign)
-    sizes = {panel.name: len(panel.edges) for panel in pattern.panels}
     free = [EdgeRef(name, i) for name, size in sizes.items() for i in range(size) if EdgeRef(name, i) not in partner]
     seen: set[EdgeRef] = set()
     for first in free:

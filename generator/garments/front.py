@@ -3,19 +3,19 @@
 A cardigan and an open vest have an open front, a jacket has a zip, a shirt with a button stand has buttons. The seam of
 the fronts records closure and closed part (``Seam``).
 
-Each front with buttons is drawn wider than its half by half the stand, so that the fronts overlap by the stand's width
-when the buttons are closed, one over the other. Mesh and drape have no layers: there a zip and closed buttons join the
-two edges, so that the girth of a draped shirt with buttons is larger by the stand's width.
+Each front with buttons is drawn wider than its half by half the stand. The centre front is then a line inside each
+front, and the seam joins the two lines, so that the fronts overlap by the stand: the extension of one lies over the
+other front, that of the other under the first. The extensions' own edges are free. The neckline, its collar and the
+seam to a part below end at the centre front.
 """
 
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from gcd_dataset.curves import LINE
 from gcd_dataset.generator.garments.description import NO_WORDS, Detail, Tag, Words, Zone
 from gcd_dataset.generator.garments.space import Design, choice, real
-from gcd_dataset.generator.pattern import Component, Interface, Outline
-from gcd_dataset.records import Closure
+from gcd_dataset.generator.pattern import Component, Interface, Piece
+from gcd_dataset.records import Closure, LineRole
 
 
 class Over(Enum):
@@ -45,19 +45,14 @@ class FrontDesign(Design):
         return 0.5 * self.stand if self.closure is Closure.BUTTONS else 0.0
 
 
-def with_extension(half: Component, front: str, width: float) -> Component:
-    """The right half with its front piece drawn ``width`` cm beyond the centre, and moved aside by as much.
-
-    The extension has the neckline's level at the top; a collar is sewn to it too.
-    """
-    piece = half.piece(front)
-    bottom, *others, centre = piece.outline.strokes
-    (x, top), (_, low) = centre.start, centre.end
-    neck = replace(others[-1], start=(x, top), end=(x + width, top), curve=LINE)
-    strokes = (*others, neck, replace(centre, start=(x + width, top), end=(x + width, low)))
-    wider = Outline.start(x + width, low).then(replace(bottom, start=(x + width, low)), *strokes)
-    moved = piece.drawn_as(wider).moved((-width, 0.0, 0.0))
-    return replace(half, pieces=tuple(moved if each is piece else each for each in half.pieces))
+def with_extension(piece: Piece, edge: str, width: float) -> Piece:
+    """The piece drawn ``width`` cm beyond a straight edge, which becomes a line of the same name inside it."""
+    stroke = piece.outline.edge(edge)
+    (x, y), outwards = stroke.chord, width / stroke.length * (1.0 if piece.outline.area > 0.0 else -1.0)
+    beyond = stroke.moved((outwards * y, -outwards * x)).called("extension", "")
+    ends = replace(beyond, end=beyond.start, start=stroke.start), replace(beyond, start=beyond.end, end=stroke.end)
+    outline = piece.outline.with_strokes((stroke,), (ends[0], beyond, ends[1]))
+    return replace(piece, outline=outline, lines=(*piece.lines, stroke.called(edge, LineRole.PLACEMENT)))
 
 
 def sewn_fronts(whole: Component, right: Interface, left: Interface, design: FrontDesign) -> Component:

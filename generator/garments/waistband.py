@@ -6,7 +6,7 @@ Under a shirt with a closure the opening goes through the band: its fronts are `
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from gcd_dataset.generator.garments.front import FrontDesign, sewn_fronts
+from gcd_dataset.generator.garments.front import FrontDesign, sewn_fronts, with_extension
 from gcd_dataset.generator.garments.skirt import band, sector
 from gcd_dataset.generator.garments.space import Design, real
 from gcd_dataset.generator.garments.trunk import back_share, girth_at_rise, waist_back, waist_front
@@ -52,10 +52,11 @@ def waistband(
     if shirt is None:
         fronts = [_half("wb_front", kind, across, lower, height).at(0, size.waist_level, FRONT)]
     else:
-        across, lower = (0.5 * width + shirt.extension for width in (across, lower))
-        sides = (("right", -0.5 * across), ("left", 0.5 * across))
-        halves = ((_half(f"wb_front_{side}", kind, across, lower, height), x) for side, x in sides)
-        fronts = [half.at(x, size.waist_level, FRONT) for half, x in halves]
+        across, lower = 0.5 * across, 0.5 * lower
+        fronts = []
+        for side, inner, x in (("right", "left", -0.5 * across), ("left", "right", 0.5 * across)):
+            half = _half(f"wb_front_{side}", kind, across, lower, height).at(x, size.waist_level, FRONT)
+            fronts.append(with_extension(half, inner, shirt.extension) if shirt.extension else half)
     back = _half("wb_back", kind, top_back, bottom_back, height).at(0, size.waist_level, BACK)
     right, left = fronts[0], fronts[-1]
     whole = (

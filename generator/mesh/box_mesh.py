@@ -2,6 +2,7 @@
 
 Most seams join right side to right side, and the faces on both sides have the same winding. A seam of right side to
 wrong side, such as a lapel's, turns the cloth over: beyond it the outside of the garment is the panel's wrong side.
+A seam along a line turns no cloth over: there panels lie on each other.
 """
 
 import logging
@@ -11,10 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+import shapely.ops
 from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.curves import sample_curve, signed_area
 from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.mesh.regions import fill_regions
 from gcd_dataset.generator.mesh.rows import distinct, stable_order
 from gcd_dataset.generator.mesh.stitch import (
     MOST_POINTS,
@@ -27,8 +30,15 @@ from gcd_dataset.generator.mesh.stitch import (
     seam_name,
     stitch_points,
 )
-from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline, flat_areas, lattice_size
-from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern, Seam
+from gcd_dataset.generator.mesh.triangulate import (
+    Filling,
+    Fillings,
+    barycentric,
+    fill_outline,
+    flat_areas,
+    lattice_size,
+)
+from gcd_dataset.records import BoxMesh, Closure, EdgeRef, Panel, Pattern, Seam
 
 SAMPLES = 17  # points of an edge, for the sign of a loop's area
 
@@ -44,7 +54,7 @@ def turned_panels(pattern: Pattern, mesh: BoxMesh) -> tuple[str, ...]:
 
 
 def turned_over(names: Sequence[str], areas: Float[np.ndarray, " p"], seams: Sequence[Seam]) -> Bool[np.ndarray, " p"]:
-    """Flags of the panels to turn over, so that all seams join faces of the same winding.
+    """Flags of the panels to turn over, so that all seams, of edges alone, join faces of the same winding.
 
     Of each set of connected panels the part with the larger area (``areas``, flat) stays right side out. A one-sided
     band (a Möbius strip) cannot satisfy all of its seams: at least one joins faces of opposite windings.
@@ -91,6 +101,7 @@ def _orient_connected(
 log = logging.getLogger(__name__)
 
 NARROWEST = 0.05  # spacings: the least mean width of a panel; triangles of narrower panels are slivers
+LAYERS = 1.0  # cm between two overlapping panels before sewing
 TOUCH = 1e-6  # cm: an edge nearer than this to a reported crossing takes part in it
 
 
@@ -103,6 +114,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
 
     Faces on both sides of a seam have the same winding, counter-clockwise as seen from outside the garment. Outside is
     the right side of the cloth except on panels that their seams turn over, such as lapels: see ``turned_panels``.
+    Where buttons join two lines, the overlapping panels start ``LAYERS`` apart, the left one of the seam outside.
 
     Raises ``MeshError`` for a panel or a seam that cannot be meshed, with its name and a remedy.
     """
@@ -120,7 +132,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
     _require_faces(faces[proper], vertex, panels, pattern)
     corners = _in_order(corners[proper])
     return BoxMesh(
-        vertices=mean_positions(panels.positions, vertex),
+        vertices=mean_positions(_layered(panels, pattern, edges, vertex), vertex),
         faces=vertex[corners],
         uv=panels.uv,
         corners=corners,
@@ -144,12 +156,16 @@ class _MeshedPanels:
     borders: tuple[Border, ...]
     first: Int[np.ndarray, " p"]  # the first point of each panel
 
+    def points_of(self, panel: int) -> Int[np.ndarray, " n"]:
+        """The points of a panel."""
+        return np.flatnonzero(self.panel_of_point == panel)
+
     def edges(self, pattern: Pattern) -> dict[EdgeRef, Int[np.ndarray, " n"]]:
         """The points of every edge, from start to end."""
         return {
             EdgeRef(panel.name, index): first + border.edge(index)
             for panel, border, first in zip(pattern.panels, self.borders, self.first, strict=True)
-            for index in range(len(panel.edges))
+            for index in range(len(panel.edges) + len(panel.lines))
         }
 
 
@@ -173,16 +189,64 @@ def _mesh_panels(pattern: Pattern, spacing: float) -> _MeshedPanels:
     )
 
 
+def _layered(
+    panels: _MeshedPanels,
+    pattern: Pattern,
+    edges: Mapping[EdgeRef, Int[np.ndarray, " n"]],
+    vertex: Int[np.ndarray, " c"],
+) -> Float[np.ndarray, "c 3"]:
+    """The positions, where buttons join two lines moved along the panels' normals, so that no layer starts in another.
+
+    Of each panel the extension, the smaller part beyond the line, is moved by ``LAYERS``, the line by half of it, and
+    the cloth before the line by less the further it is, down to nothing at the extension's width. Then the extension
+    follows the cloth under it that seams draw aside, as to a collar.
+    """
+    number = {panel.name: row for row, panel in enumerate(pattern.panels)}
+    positions, extensions = panels.positions.copy(), []
+    for seam in pattern.seams:
+        if seam.closure != Closure.BUTTONS:
+            continue
+        for side, other, outwards in ((seam.left, seam.right, LAYERS), (seam.right, seam.left, -LAYERS)):
+            panel, own = pattern.panels[number[side.panel]], panels.points_of(number[side.panel])
+            if side.edge < len(panel.edges):
+                continue
+            line = shapely.LineString(panels.uv[edges[side]])
+            parts = shapely.ops.split(shapely.Polygon(panels.borders[number[side.panel]].points), line).geoms
+            smaller, points = min(parts, key=lambda part: part.area), shapely.points(panels.uv[own])
+            beyond = shapely.distance(line, points) * np.where(shapely.intersects(smaller, points), 1.0, -1.0)
+            share = np.clip(0.5 + 0.5 * beyond / beyond.max(), 0.0, 1.0)
+            positions[own] += outwards * share[:, None] * panel.placement.matrix[:, 2]
+            extensions.append((own[beyond > TOUCH], number[other.panel]))
+    if not extensions:
+        return positions
+    drawn = mean_positions(positions, vertex)[vertex] - positions
+    for own, under in extensions:
+        faces = panels.corners[panels.panel_of_point[panels.corners[:, 0]] == under]
+        placement = pattern.panels[under].placement
+        at = (panels.positions[own] - placement.translation) @ placement.matrix[:, :2]
+        rows, found = shapely.STRtree(shapely.polygons(panels.uv[faces])).query(shapely.points(at), "intersects")
+        rows, first = np.unique(rows, return_index=True)
+        faces = faces[found[first]]
+        positions[own[rows]] += np.einsum("kn,nkd->nd", barycentric(panels.uv, faces, at[rows]), drawn[faces])
+    return positions
+
+
 def _consistent_corners(panels: _MeshedPanels, pattern: Pattern) -> Int[np.ndarray, "f 3"]:
     """The corners of all faces, in reversed order on panels that are sewn in wrong side out."""
-    if not any(seam.right_wrong for seam in pattern.seams):
+    edges = {panel.name: len(panel.edges) for panel in pattern.panels}
+    seams = {
+        number: seam
+        for number, seam in enumerate(pattern.seams)
+        if all(side.edge < edges[side.panel] for side in (seam.left, seam.right))
+    }
+    if not any(seam.right_wrong for seam in seams.values()):
         return panels.corners
     panel = panels.panel_of_point[panels.corners[:, 0]]
     areas = np.bincount(panel, np.abs(flat_areas(panels.uv[panels.corners])), minlength=len(pattern.panels))
     names = [panel.name for panel in pattern.panels]
-    turned = turned_over(names, areas, pattern.seams)
+    turned = turned_over(names, areas, tuple(seams.values()))
     over = dict(zip(names, turned.tolist(), strict=True))
-    for number, seam in enumerate(pattern.seams):
+    for number, seam in seams.items():
         if seam.right_wrong != (over[seam.left.panel] != over[seam.right.panel]):
             name = seam_name(number, seam)
             log.warning(
@@ -207,7 +271,11 @@ def _mesh_panel(panel: Panel, border: Border, spacing: float, cache: Fillings) -
     """Points of a panel, border first, and triangles with the winding of its loop: counter-clockwise from outside."""
     _require_outline(panel, border, spacing)
     try:
-        return fill_outline(border.points, spacing, cache)
+        if not border.lines:
+            return fill_outline(border.points, spacing, cache)
+        return fill_regions(
+            np.concatenate([border.points, border.inner]), len(border.points), border.lines, spacing, cache
+        )
     except MeshError as error:
         raise MeshError(f"panel {panel.name}: {error}") from error
 
@@ -268,12 +336,12 @@ def _labels(
 
     Raises ``MeshError`` for a seam whose sides have different labels.
     """
-    label_of = {
+    label_of: dict[EdgeRef, str] = {
         EdgeRef(panel.name, index): edge.label for panel in pattern.panels for index, edge in enumerate(panel.edges)
     }
     found: dict[str, list[Int[np.ndarray, " n"]]] = {}
     for number, seam in enumerate(pattern.seams):
-        left, right = label_of.pop(seam.left), label_of.pop(seam.right)
+        left, right = label_of.pop(seam.left, ""), label_of.pop(seam.right, "")  # lines have no labels
         if left and right and left != right:
             raise MeshError(f"{seam_name(number, seam)} joins labels {left} and {right}: remove one of them")
         found.setdefault(left or right, []).extend([vertex[edges[seam.left]], vertex[edges[seam.right]]])

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.rows import stable_order
 from gcd_dataset.generator.mesh.stitch import MOST_POINTS, proper_faces
-from gcd_dataset.generator.mesh.triangulate import Quality, lattice_size, triangulator
+from gcd_dataset.generator.mesh.triangulate import Quality, barycentric, lattice_size, triangulator
 from gcd_dataset.records import BoxMesh
 
 STRAIGHT = np.cos(np.radians(25.0))  # border points where the outline turns by more than 25 degrees are kept
@@ -179,17 +179,6 @@ class _Graph:
         return np.array(path, int), np.repeat(np.arange(len(sizes)), sizes)
 
 
-def barycentric(
-    points: Float[np.ndarray, "m 2"], triangles: Int[np.ndarray, "n 3"], queries: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "3 n"]:
-    """The barycentric weights of each query point in its triangle of ``points``."""
-    (ax, bx, cx), (ay, by, cy) = (np.ascontiguousarray(axis)[triangles.T] for axis in points.T)
-    bx, by, cx, cy = bx - ax, by - ay, cx - ax, cy - ay
-    x, y, area = queries[:, 0] - ax, queries[:, 1] - ay, bx * cy - by * cx
-    second, third = (x * cy - y * cx) / area, (bx * y - by * x) / area
-    return np.stack([1 - second - third, second, third])
-
-
 FEW = 1000  # vertices: a smaller mesh drapes as fast without a coarse start
 TYPICAL = 0.75  # quantile of a border's segments that is its spacing
 COARSE = Quality(longest=1.6, sharpest=float(np.radians(20.0)))  # a tenth of the seeds that the fine mesh's limits add
@@ -222,8 +211,10 @@ def coarse_start(mesh: BoxMesh) -> CoarseMesh | None:
 
 
 def coarsen(mesh: BoxMesh) -> CoarseMesh:
-    """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow."""
+    """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow, or sewn along a line."""
     borders = PanelLoops.of(mesh)
+    if not np.isin(mesh.seams[:, 0], mesh.uv_vertex[borders.rows]).all():
+        raise MeshError("a seam runs inside a panel: it cannot be made coarser")
     thinned = thin(mesh, borders)
     return _join(mesh, borders, thinned, _fill(mesh, borders, thinned))
 

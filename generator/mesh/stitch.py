@@ -1,6 +1,6 @@
 """Merge the points of panels into vertices along the seams."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import ceil
 
 import numpy as np
@@ -17,27 +17,33 @@ ROUNDING = 1e-9  # fraction of the spacing: a 10 cm edge gets 11 points even if 
 
 @dataclass(frozen=True)
 class Border:
-    """The outline of a panel as a closed loop of points, in the order of its edges."""
+    """The outline of a panel as a closed loop of points, in the order of its edges; and the points of its lines."""
 
     points: Float[np.ndarray, "n 2"]
     """[cm]"""
     first: Int[np.ndarray, " e+1"]
     """The first point of each edge; the last entry is the number of points."""
+    inner: Float[np.ndarray, "m 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    """Points of lines off the outline [cm], numbered after its own."""
+    lines: tuple[Int[np.ndarray, " l"], ...] = ()
+    """The points of each line from start to end, both included."""
 
     def edge(self, index: int) -> Int[np.ndarray, " m"]:
-        """The points of an edge from start to end, both included."""
+        """The points of an edge from start to end, both included; after the edges come the lines."""
+        if index >= len(self.first) - 1:
+            return self.lines[index - len(self.first) + 1]
         return np.arange(self.first[index], self.first[index + 1] + 1) % len(self.points)
 
 
 def edge_counts(pattern: Pattern, spacing: float) -> dict[EdgeRef, int]:
-    """Number of points on each edge, ends included: ``ceil(length / spacing) + 1`` of the longer side of its seam.
+    """Number of points on each edge and line, ends included: ``ceil(length / spacing) + 1`` of its seam's longer side.
 
     Raises ``MeshError`` for an edge without a finite length, an edge in two seams, and a seam of a missing edge.
     """
     counts = {
         EdgeRef(panel.name, index): _count(panel, index, spacing)
         for panel in pattern.panels
-        for index in range(len(panel.edges))
+        for index in range(len(panel.edges) + len(panel.lines))
     }
     seam_of: dict[EdgeRef, int] = {}
     for number, seam in enumerate(pattern.seams):
@@ -81,12 +87,36 @@ def sample_border(panel: Panel, counts: dict[EdgeRef, int]) -> Border:
         if not isinstance(edge.curve, Line):
             curve = sample_curve(*panel.edge_ends(index), edge.curve, sizes[index] + 1)
             points[first[index] : first[index + 1]] = curve[:-1]
-    return Border(points, first)
+    return Border(points, first, *_sample_lines(panel, counts, dict(zip(starts, first.tolist(), strict=False)), total))
+
+
+def _sample_lines(
+    panel: Panel, counts: dict[EdgeRef, int], place: dict[int, int], total: int
+) -> tuple[Float[np.ndarray, "m 2"], tuple[Int[np.ndarray, " l"], ...]]:
+    """The points of lines off the outline, numbered from ``total``, and the points of each line.
+
+    ``place``: vertex to its point on the outline.
+    """
+    inner: list[Float[np.ndarray, "k 2"]] = [np.zeros((0, 2))]
+    lines = []
+
+    def added(points: Float[np.ndarray, "k 2"]) -> list[int]:
+        inner.append(points)
+        end = total + sum(map(len, inner))
+        return list(range(end - len(points), end))
+
+    for index, line in enumerate(panel.lines, len(panel.edges)):
+        for vertex in (line.start, line.end):
+            if vertex not in place:
+                [place[vertex]] = added(panel.vertices[[vertex]])
+        between = sample_curve(*panel.edge_ends(index), line.curve, counts[EdgeRef(panel.name, index)])[1:-1]
+        lines.append(np.array([place[line.start], *added(between), place[line.end]]))
+    return np.concatenate(inner), tuple(lines)
 
 
 def _count(panel: Panel, index: int, spacing: float) -> int:
     try:
-        length = curve_length(*panel.edge_ends(index), panel.edges[index].curve)
+        length = curve_length(*panel.edge_ends(index), panel.edge(index).curve)
     except PatternError as error:
         raise MeshError(f"panel {panel.name}, edge {index}: {error}") from error
     if not 0.0 < length < np.inf:

@@ -163,3 +163,14 @@ def flat_areas(corners: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, " f"]:
     """Signed areas of flat triangles, positive for counter-clockwise ones [cm²]."""
     (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
     return np.asarray(0.5 * (ax * by - ay * bx))
+
+
+def barycentric(
+    points: Float[np.ndarray, "m 2"], triangles: Int[np.ndarray, "n 3"], queries: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "3 n"]:
+    """The barycentric weights of each query point in its triangle of ``points``."""
+    (ax, bx, cx), (ay, by, cy) = (np.ascontiguousarray(axis)[triangles.T] for axis in points.T)
+    bx, by, cx, cy = bx - ax, by - ay, cx - ax, cy - ay
+    x, y, area = queries[:, 0] - ax, queries[:, 1] - ay, bx * cy - by * cx
+    second, third = (x * cy - y * cx) / area, (bx * y - by * x) / area
+    return np.stack([1 - second - third, second, third])

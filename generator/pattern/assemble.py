@@ -2,15 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import dist
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
+from gcd_dataset.curves import Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.component import Component
+from gcd_dataset.generator.pattern.outline import CLOSED
 from gcd_dataset.generator.pattern.piece import Interface, Join, Piece, shared_breaks
 from gcd_dataset.generator.pattern.stroke import Stroke
-from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Edge, EdgeRef, InnerLine, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import panel_order
 
 DIGITS = 12  # decimals of the joined share of a seam: 1 - 0.7 becomes 0.3
@@ -20,7 +24,7 @@ class _WalkedStroke(NamedTuple):
     """A stroke of a piece in the walk of an interface."""
 
     panel: str
-    stroke: int  # its number in the piece's outline
+    stroke: int  # its number in the piece's outline; lines follow
     backward: bool  # whether it is walked against its drawing direction
     length: float  # projected length: without the gathers [cm]
 
@@ -50,16 +54,20 @@ def assemble_and_measure(component: Component, name: str) -> tuple[Pattern, tupl
     strokes = {
         piece.name: [
             stroke.split(shares) if (shares := divisions.get((piece.name, index))) else (stroke,)
-            for index, stroke in enumerate(piece.outline.strokes)
+            for index, stroke in enumerate(piece.strokes)
         ]
         for piece in component.pieces
     }
     panels = {piece.name: _panel(piece, strokes[piece.name], outward[piece.name]) for piece in component.pieces}
     numbers: dict[str, dict[tuple[int, int], int]] = {}
-    """Number of the edge in the panel's loop, by (stroke, part)."""
-    for panel, divided in strokes.items():
+    """Number of the edge in the panel's loop, and after the edges of the line, by (stroke, part)."""
+    for piece in component.pieces:
+        divided, in_loop = strokes[piece.name], len(piece.outline.strokes)
         keys = [(stroke, part) for stroke, own_parts in enumerate(divided) for part in range(len(own_parts))]
-        numbers[panel] = dict(zip(keys if outward[panel] else reversed(keys), range(len(keys)), strict=True))
+        if not outward[piece.name]:
+            count = sum(map(len, divided[:in_loop]))
+            keys = [*reversed(keys[:count]), *reversed(keys[count:])]
+        numbers[piece.name] = {key: number for number, key in enumerate(keys)}
     seams = []
     for join, walk in zip(component.joins, walks, strict=True):
         closed = _closed_parts(join.closed, walk[0], divisions)
@@ -89,14 +97,14 @@ def _measured(
 
 def panel_of(piece: Piece) -> Panel:
     """The piece as a panel by itself, no edge divided for a seam."""
-    return _panel(piece, [(stroke,) for stroke in piece.outline.strokes], piece.faces_out)
+    return _panel(piece, [(stroke,) for stroke in piece.strokes], piece.faces_out)
 
 
 def _walks(component: Component) -> list[tuple[list[_WalkedStroke], list[_WalkedStroke]]]:
     """The strokes of both sides of each join in the order of their walks."""
     edges: dict[tuple[str, str], list[tuple[int, Stroke]]] = {}
     for piece in component.pieces:
-        for index, stroke in enumerate(piece.outline.strokes):
+        for index, stroke in enumerate(piece.strokes):
             edges.setdefault((piece.name, stroke.name), []).append((index, stroke))
 
     def walk(interface: Interface) -> list[_WalkedStroke]:
@@ -117,7 +125,7 @@ def _require_sewn_once(component: Component, walks: Sequence[tuple[list[_WalkedS
     seen: set[tuple[str, int]] = set()
     for walked in (walked for sides in walks for side in sides for walked in side):
         if (walked.panel, walked.stroke) in seen:
-            edge = component.piece(walked.panel).outline.strokes[walked.stroke].name
+            edge = component.piece(walked.panel).strokes[walked.stroke].name
             raise PatternError(f"edge {edge} of panel {walked.panel} is sewn twice: name each edge in one seam only")
         seen.add((walked.panel, walked.stroke))
 
@@ -164,12 +172,32 @@ def _closed_parts(
 
 def _panel(piece: Piece, parts: Sequence[tuple[Stroke, ...]], outward: bool) -> Panel:
     """The finished panel: its loop counter-clockwise from outside, its first corner the origin of its plane."""
-    loop = [part for stroke_parts in parts for part in stroke_parts]
+    count = len(piece.outline.strokes)
+    loop, inner = ([part for own_parts in some for part in own_parts] for some in (parts[:count], parts[count:]))
     if not outward:
-        loop = [stroke.reversed() for stroke in reversed(loop)]
+        loop, inner = ([stroke.reversed() for stroke in reversed(some)] for some in (loop, inner))
     corners = np.array([stroke.start for stroke in loop])
     after = [*range(1, len(loop)), 0]
     edges = tuple([Edge(i, after[i], stroke.curve, stroke.label, stroke.name) for i, stroke in enumerate(loop)])
     rotation = np.array(piece.rotation) + 0.0  # mirror images have angles of -0.0, which files should not show
     placement = Placement(np.array(piece.in_space(loop[0].start)), rotation)
-    return Panel(piece.name, corners - corners[0], edges, placement, piece.label)
+    vertices, lines = _with_lines(corners, inner) if inner else (corners, ())
+    return Panel(piece.name, vertices - corners[0], edges, placement, piece.label, lines)
+
+
+def _with_lines(
+    corners: Float[np.ndarray, "c 2"], inner: Sequence[Stroke]
+) -> tuple[Float[np.ndarray, "v 2"], tuple[InnerLine, ...]]:
+    """The corners with the further ends of the lines, and the lines; ends that meet a corner take its number."""
+    points: list[Point] = [(x, y) for x, y in corners.tolist()]
+
+    def number(point: Point) -> int:
+        near = next((i for i, known in enumerate(points) if dist(known, point) <= CLOSED), None)
+        if near is None:
+            points.append(point)
+        return len(points) - 1 if near is None else near
+
+    lines = tuple(
+        InnerLine(number(stroke.start), number(stroke.end), stroke.curve, stroke.label, stroke.name) for stroke in inner
+    )
+    return np.array(points), lines

@@ -102,7 +102,7 @@ class Component:
 
     def length(self, interface: str) -> float:
         """Length of an interface along the cloth, its gathers included [cm]."""
-        return sum(self.piece(s.panel).outline.length(s.edge) for s in self.interface(interface))
+        return sum(self.piece(s.panel).length(s.edge) for s in self.interface(interface))
 
     def points(self, interface: str | None = None) -> Float[np.ndarray, "n 3"]:
         """Points along all outlines, or along one interface, in space [cm]."""

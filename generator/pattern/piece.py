@@ -119,6 +119,8 @@ class Piece:
     """Angles about the fixed x, y, z axes, applied in that order [rad]."""
     label: PanelRole | str = ""
     """The part of the body it covers; empty if not decided yet."""
+    lines: tuple[Stroke, ...] = ()
+    """Lines inside the outline, each labelled with its ``LineRole``; interfaces name them as they name edges."""
 
     def __post_init__(self) -> None:
         if not self.outline.closed:
@@ -126,7 +128,7 @@ class Piece:
 
     def at(self, x: float, y: float, z: float) -> Self:
         """Moved so that the origin of its drawing is at a point [cm]."""
-        return type(self)(self.name, self.outline, (x, y, z), self.rotation, self.label)
+        return type(self)(self.name, self.outline, (x, y, z), self.rotation, self.label, self.lines)
 
     def moved(self, by: Vector) -> Self:
         """Shifted in space [cm]."""
@@ -138,20 +140,21 @@ class Piece:
         x, y = rotate(self.translation[:2], angle)
         about_x, about_y, about_z = self.rotation
         turned = (about_x, about_y, about_z + angle)  # z is the last axis applied, so turns about it add up
-        return type(self)(self.name, self.outline, (x, y, self.translation[2]), turned, self.label)
+        return type(self)(self.name, self.outline, (x, y, self.translation[2]), turned, self.label, self.lines)
 
     def mirrored(self, name: str) -> Self:
         """The mirror image about the plane x = 0, with a new name."""
         (x, y, z), (a, b, c) = self.translation, self.rotation
-        return type(self)(name, self.outline.mirrored(), (-x, y, z), (a, -b, -c), self.label)
+        lines = tuple(line.mirrored() for line in self.lines)
+        return type(self)(name, self.outline.mirrored(), (-x, y, z), (a, -b, -c), self.label, lines)
 
     def labelled(self, label: PanelRole | str) -> Self:
         """With another label."""
-        return type(self)(self.name, self.outline, self.translation, self.rotation, label)
+        return type(self)(self.name, self.outline, self.translation, self.rotation, label, self.lines)
 
     def drawn_as(self, outline: Outline) -> Self:
         """With another outline."""
-        return type(self)(self.name, outline, self.translation, self.rotation, self.label)
+        return type(self)(self.name, outline, self.translation, self.rotation, self.label, self.lines)
 
     def along(self, *edges: str, ruffle: float = 1.0) -> Interface:
         """The interface of these edges in turn, each in drawing direction; ``ruffle``: see ``Section``."""
@@ -174,6 +177,15 @@ class Piece:
         x, y, z = self.placement.apply(np.array(point)).tolist()
         return (x, y, z)
 
+    @property
+    def strokes(self) -> tuple[Stroke, ...]:
+        """The strokes of the outline, then the lines."""
+        return (*self.outline.strokes, *self.lines)
+
+    def length(self, edge: str) -> float:
+        """Length of the edge or line of that name, all parts together [cm]."""
+        return sum(stroke.length for stroke in self._strokes(edge))
+
     def points(self, edge: str | None = None) -> Float[np.ndarray, "n 3"]:
         """Points along the outline, or along one edge, in space [cm]."""
         flat = np.concatenate([stroke.points() for stroke in self._strokes(edge)])
@@ -193,7 +205,9 @@ class Piece:
         return (x0 + x, y0 + y, z), (x1 + x, y1 + y, z)
 
     def _strokes(self, edge: str | None) -> tuple[Stroke, ...]:
-        return self.outline.strokes if edge is None else self.outline.run(edge)
+        if edge is None:
+            return self.outline.strokes
+        return tuple(line for line in self.lines if line.name == edge) or self.outline.run(edge)
 
     @property
     def faces_out(self) -> bool:

@@ -34,7 +34,7 @@ from gcd_dataset.curves import (
     to_frame,
 )
 from gcd_dataset.errors import PatternError
-from gcd_dataset.records import EdgeRole
+from gcd_dataset.records import EdgeRole, LineRole
 
 OUTLINE_SAMPLES = np.linspace(0.0, 1.0, 17)  # curve parameters, for the extent of an outline
 SWEPT_AREA = {
@@ -56,8 +56,8 @@ class Stroke:
     curve: Curve = LINE
     name: str = ""
     """Name in the drawing; the parts of a divided stroke keep it."""
-    label: EdgeRole | str = ""
-    """Role of the edge in a drape; empty for none."""
+    label: EdgeRole | LineRole | str = ""
+    """Role of the edge in a drape, or of a line; empty for none."""
 
     @property
     def length(self) -> float:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gcd_dataset.curves import LINE, Arc, Curve, sample_curve
-from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Edge, EdgeRef, InnerLine, LineRole, Panel, Pattern, Placement, Seam
 
 NOWHERE = Placement(np.zeros(3), np.zeros(3))
 SIDE = 40.0  # cm, of the squares
@@ -30,6 +30,15 @@ def square(name: str, *, fold: int | None = None) -> Panel:
 def squares() -> Pattern:
     """Two squares: the right edge of the first is sewn to the left edge of the second."""
     return Pattern("squares", (square("one"), square("two")), (Seam(EdgeRef("one", 1), EdgeRef("two", 3)),))
+
+
+def lined() -> Pattern:
+    """``squares`` with a diagonal and a half circle in the first, the diagonal sewn to an edge of the second."""
+    one, two = squares().panels
+    lines = (InnerLine(0, 2, role=LineRole.FOLD), InnerLine(4, 5, Arc(5.0, False, True)))
+    inner = replace(one, vertices=np.concatenate([one.vertices, [[25.0, 10.0], [35.0, 10.0]]]), lines=lines)
+    seams = (*squares().seams, Seam(EdgeRef("one", 4), EdgeRef("two", 0)))
+    return Pattern("lined", (inner, two), seams)
 
 
 NAMES = (

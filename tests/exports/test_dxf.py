@@ -15,7 +15,7 @@ from gcd_dataset.errors import ConfigError, ExtraMissing
 from gcd_dataset.exports import dxf
 from gcd_dataset.records import Pattern, Sample
 from tests.exports.dxf_reader import Block, layers_of, read_dxf
-from tests.exports.patterns import NAMES, SIDE, darted, exact_area, named, panel_of, square, squares
+from tests.exports.patterns import NAMES, SIDE, darted, exact_area, lined, named, panel_of, square, squares
 
 ALLOWED = {
     "1": {"POLYLINE", "TEXT"},
@@ -90,6 +90,15 @@ def test_a_fold_is_a_mirror_line(tmp_path: Path) -> None:
     assert {tuple(line.at.tolist()), tuple(line.end.tolist())} == {(0.0, 0.0), (0.0, 10 * SIDE)}
     [cut] = block.of("1", "POLYLINE")
     assert np.array(cut.vertices)[:, 0].min() == 0.0
+
+
+def test_lines_inside_a_piece_have_a_layer_of_their_own(tmp_path: Path) -> None:
+    block = read_of(lined(), tmp_path)["one"]
+    diagonal, half_circle = (shapely.LineString(line.vertices) for line in block.of("8", "POLYLINE"))
+    assert diagonal.equals(shapely.LineString([(0, 0), (10 * SIDE, 10 * SIDE)]))
+    assert half_circle.length == pytest.approx(50 * np.pi, rel=1e-3)
+    assert "1" in block.texts("15")  # the number of the seam on the diagonal
+    assert len(block.of("4", "POINT")) == len(read_of(squares(), tmp_path)["one"].of("4", "POINT"))  # none on a line
 
 
 def test_style_and_size_are_those_of_the_sample(worn: Sample, tmp_path: Path) -> None:

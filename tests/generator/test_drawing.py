@@ -21,9 +21,10 @@ from gcd_dataset.curves import Arc, Cubic, Curve, Quadratic, sample_curve
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drawing import contact_sheet, design_sheet, draw_pattern, jpeg_bytes, picture_of, png_bytes
 from gcd_dataset.generator.lay_plan import PAPER, lay_out
-from gcd_dataset.generator.svg import pattern_svg
+from gcd_dataset.generator.svg import LINE_WIDTH, pattern_svg
 from gcd_dataset.records import Edge, Panel, Pattern, Placement
 from gcd_dataset.spec import read_pattern, write_pattern
+from tests.exports.patterns import lined
 from tests.helpers import napkins
 
 
@@ -239,6 +240,16 @@ def test_both_edges_of_a_seam_carry_its_colour_and_number() -> None:
     assert {seam for seam, _ in marked.values()} == {None}
     numbers = Counter(text.text for piece in pieces for text in piece.texts)
     assert all(numbers[str(number)] == 2 for number in range(len(pattern.seams)))
+
+
+def test_a_line_is_drawn_thin_with_its_role_and_seam() -> None:
+    pattern = lined()
+    assert_true_to_scale(pattern)
+    _, [piece, _] = read_back(pattern)
+    line, half_circle = piece.edges[4:]
+    assert (line.get("data-role"), line.get("data-seam")) == ("fold", "1")
+    assert (half_circle.get("data-role"), half_circle.get("data-seam")) == ("stitch", None)
+    assert float(line.get("stroke-width", "1")) < LINE_WIDTH
 
 
 @pytest.mark.parametrize("clockwise", [False, True])

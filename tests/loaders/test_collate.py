@@ -28,6 +28,7 @@ from gcd_dataset.loaders import (
     seam_graph,
 )
 from gcd_dataset.loaders.batches import RAGGED, buffer_of, copy_tensor
+from gcd_dataset.tensors import LineColumn
 from tests.loaders.test_shards import same
 from tests.shards.folders import fill
 
@@ -52,6 +53,26 @@ POINTERS = (
     *(("uv_vertex", None, "verts"), ("panel_id", None, "panels"), ("edges", slice(0, 1), "panels")),
 )
 """Field, its columns of row numbers, and the field that these index."""
+
+
+def test_seams_of_lines_keep_their_lines_in_a_batch(items: list[Any]) -> None:
+    """Garments 1 and 3 have two lines each; their last stitch joins an edge to the second line."""
+    lined = [dict(item) for item in items]
+    for item in (lined[1], lined[3]):
+        item["lines"] = torch.zeros(2, 16)
+        item["lines"][:, LineColumn.START_X] = torch.tensor([1.0, 2.0]) + len(item["edges"])
+        item["stitches"] = item["stitches"].clone()
+        item["stitches"][-1, 1] = len(item["edges"]) + 1
+    batch = collate_packed(lined)
+    for number in (1, 3):
+        last = batch["stitches"][batch["stitches_ptr"][number + 1] - 1, 1] - len(batch["edges"])
+        assert batch["lines"][last, LineColumn.START_X] == 2.0 + len(lined[number]["edges"])
+    for number, item in enumerate(lined):
+        assert torch.equal(batch.garment(number)["stitches"], item["stitches"])
+    assert seam_graph(lined[1]).sewn_edges.shape[1] == 2 * len(lined[1]["stitches"]) - 2
+    without = [{field: value for field, value in item.items() if field != "lines"} for item in lined]
+    with pytest.raises(ConfigError, match="stitches holds rows of lines: load the field lines too"):
+        collate_packed(without)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])

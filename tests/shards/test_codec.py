@@ -22,6 +22,8 @@ from gcd_dataset.records import (
     BoxMesh,
     Closure,
     Grade,
+    InnerLine,
+    LineRole,
     Maps,
     Measurements,
     NamedFabric,
@@ -362,6 +364,18 @@ def test_closures_are_stored_where_a_seam_is_not_sewn(sample: Sample) -> None:
     sewn = encode_sample(sample)
     assert "closures" not in unpack(sewn["pattern.z"])
     assert decode_fields(sewn, ["closures"])["closures"].tolist() == [[0, 0, 1], [0, 0, 1]]
+
+
+def test_lines_are_stored_where_there_are_any(sample: Sample) -> None:
+    first = sample.pattern.panels[0]
+    lined = replace(first, lines=(InnerLine(0, 2, role=LineRole.PLACEMENT),))
+    pattern = replace(sample.pattern, panels=(lined, *sample.pattern.panels[1:]))
+    stored = encode_sample(replace(sample, pattern=pattern))
+    assert decode_sample(stored).pattern.panels[0].lines == lined.lines
+    assert decode_pattern(stored_pattern(stored)).panels[0].lines == lined.lines
+    plain = encode_sample(sample)
+    assert "lines" not in unpack(plain["pattern.z"])
+    assert decode_fields(plain, ["lines"])["lines"].shape == (0, 16)
 
 
 def with_maps(sample: Sample, pressure: np.ndarray) -> Sample:

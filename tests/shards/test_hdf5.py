@@ -74,7 +74,7 @@ def test_captions_views_and_skipped_stages(tmp_path: Path) -> None:
     for fields in (None, ["views", "camera_k", "camera_rt"], ["caption", "verts"]):
         assert_same(GarmentDataset(tmp_path / "views", fields=fields), Hdf5Garments(tmp_path / "views.h5", fields))
     one = Hdf5Garments(tmp_path / "patterns.h5")
-    assert one.fields == ("meta", "spec", "design", "measures", "panels", "edges", "stitches", "closures")
+    assert one.fields == ("meta", "spec", "design", "measures", "panels", "edges", "stitches", "closures", "lines")
     with pytest.raises(ConfigError, match="these garments end with stage pattern, and faces come with stage mesh"):
         Hdf5Garments(tmp_path / "patterns.h5", ["faces"])
 

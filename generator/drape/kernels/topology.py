@@ -2,7 +2,8 @@
 
 Rest lengths and hinges come from the flat corner coordinates, whatever the placement of the panels. Sides
 (``3 face + corner``, from that corner to the next) are sorted by their two vertices, so the sides of an edge are
-adjacent. Where more than two panels meet along an edge, its first two faces form the hinge.
+adjacent. Where more than two panels meet along an edge, its first two faces form the hinge. Where panels are sewn to
+each other along lines, each panel has an edge of its own between the same two vertices, with its own hinge.
 """
 
 import warp as wp
@@ -68,13 +69,40 @@ def key_sides(
 
 @wp.kernel
 def mark_firsts(
+    panel: wp.array(dtype=int),
     keys: wp.array(dtype=wp.int64),
+    # in and out
+    sides: wp.array(dtype=int),
     # out
     firsts: wp.array(dtype=int),
 ):
-    """1 at the first side of each edge among the sorted sides, else 0."""
+    """1 at the first side of each edge among the sorted sides, else 0; ``panel``: the panel of each face.
+
+    Of more than two sides between two vertices, two of one panel are an edge of their own, and are moved to the front.
+    """
     s = wp.tid()
-    firsts[s] = int(s == 0 or keys[s] != keys[wp.max(s - 1, 0)])
+    if s > 0 and keys[s] == keys[wp.max(s - 1, 0)]:
+        return
+    end = int(s)
+    while end < keys.shape[0]:
+        if keys[end] != keys[s]:
+            break
+        firsts[end] = 0
+        end += 1
+    placed = int(s)
+    if end > s + 2:
+        for i in range(s, end):
+            for j in range(i + 1, end):
+                if i >= placed and panel[sides[i] // 3] == panel[sides[j] // 3]:
+                    for k in range(2):
+                        at = wp.where(k == 0, i, j)
+                        side = sides[at]
+                        sides[at] = sides[placed + k]
+                        sides[placed + k] = side
+                    firsts[placed] = 1
+                    placed += 2
+    if placed < end:
+        firsts[placed] = 1
 
 
 @wp.kernel
@@ -132,7 +160,7 @@ def describe_edges(
     s = wp.tid()
     e = number[s] - 1
     surface.side_edge[sides[s]] = e
-    if s > 0 and keys[s] == keys[wp.max(s - 1, 0)]:
+    if s > 0 and number[s] == number[wp.max(s - 1, 0)]:
         return
     low = int(keys[s] / wp.int64(4294967296))
     high = int(keys[s] % wp.int64(4294967296))
@@ -147,8 +175,8 @@ def describe_edges(
     sheet = sheets[vertex_world[low]]
     met = int(0)
     at = int(s)
-    while at < keys.shape[0]:
-        if keys[at] != keys[s]:
+    while at < number.shape[0]:
+        if number[at] != number[s]:
             break
         f = sides[at] // 3
         corner = sides[at] % 3

@@ -16,7 +16,7 @@ from gcd_dataset.generator.body import (
     neutral_shape,
     read_measurements,
 )
-from gcd_dataset.generator.body.section import clipped, contour_length, girth, section, tape
+from gcd_dataset.generator.body.section import clipped, contour_length, girth, loose_ends, section, tape
 from gcd_dataset.generator.body.tailor import model_sites, take_measures
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape, Measurements
@@ -128,3 +128,13 @@ def test_sections_of_the_published_body_have_its_measures(published: tuple[Body,
 def test_a_mesh_without_a_body_is_an_error_with_a_remedy() -> None:
     with pytest.raises(BodyError, match=r"body: 80 triangles with an area, a body needs at least 500"):
         measure(body_from(trimesh.creation.icosphere(subdivisions=1)))
+
+
+def test_a_branch_of_a_section_that_ends_nowhere_is_loose() -> None:
+    """A ring with a branch of two segments; a ring alone and an open curve have no branch."""
+    angle = np.linspace(0.0, 2 * np.pi, 9)
+    points = np.stack([np.zeros(9), np.cos(angle), np.sin(angle)], axis=1)
+    ring = np.stack([points[:-1], points[1:]], axis=1)
+    branch = np.array([[[0.0, 1.0, 0.0], [0.0, 2.0, 0.0]], [[0.0, 3.0, 0.0], [0.0, 2.0, 0.0]]])
+    assert loose_ends(np.concatenate([branch, ring])).tolist() == [True] * 2 + [False] * 8
+    assert not loose_ends(np.concatenate([ring[:5], ring + [0.0, 9.0, 0.0]])).any()

@@ -464,7 +464,7 @@ def test_five_tiers_of_the_least_length_hang_lower_than_declared() -> None:
 
 def longest_ratio(pattern: Pattern) -> float:
     """Largest ratio of the two sides of a seam."""
-    lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
+    lengths = {panel.name: panel.lengths() for panel in pattern.panels}
     sides = [
         [lengths[ref.panel][ref.edge] for ref in (seam.left, seam.right)]
         for seam in pattern.seams
@@ -476,11 +476,7 @@ def longest_ratio(pattern: Pattern) -> float:
 def front_necklines(pattern: Pattern) -> list[tuple[str, ...]]:
     """The kinds of curve of each half of the neckline in front."""
     fronts = [panel for panel in pattern.panels if panel.name.endswith("_ftorso")]
-    curves = [[type(edge.curve).__name__ for edge in panel.edges if edge.name == "neck"] for panel in fronts]
-    if any(seam.closure == Closure.BUTTONS for seam in pattern.seams):
-        for neckline in curves:
-            neckline.remove("Line")  # the top of the button stand
-    return [tuple(neckline) for neckline in curves]
+    return [tuple(type(edge.curve).__name__ for edge in panel.edges if edge.name == "neck") for panel in fronts]
 
 
 def drawn_features(worn: Worn) -> Mapping[str, bool]:

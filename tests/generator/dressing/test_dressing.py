@@ -235,6 +235,21 @@ def test_the_fronts_of_an_open_vest_are_no_neckline(wearer: tuple[Body, Measurem
     assert collars == {"left_collar", "right_collar"}
 
 
+def test_the_fronts_of_a_buttoned_shirt_are_joined_and_hung_along_their_lines(
+    wearer: tuple[Body, Measurements],
+) -> None:
+    """Never placed and without labels, its fronts are hung as those with a zip, and overlap by the stand."""
+    overlaps = []
+    for closure in ("zip", "buttons"):
+        design = design_from_dict({"meta": {"upper": "Shirt"}, "front": {"closure": closure, "stand": 4.0}})
+        hung = dress(bared(draw_garment(wearer[1], design), placed=False), *wearer).pattern
+        right, left = (placed_outline(hung.panel(f"{side}_ftorso")) for side in ("right", "left"))
+        overlaps.append(right[:, 0].max() - left[:, 0].min())
+        assert right[:, 2] == pytest.approx(left[0, 2])
+    assert overlaps[1] - overlaps[0] == pytest.approx(4.0, abs=0.1)
+    assert len(openings_of(draw_garment(wearer[1], design))) == 3  # two armholes; neckline, fronts and hem in one
+
+
 def test_a_seam_of_right_to_wrong_side_reverses_the_walk() -> None:
     """A ribbon sewn to itself with a half twist has one edge, a plain ring two."""
     ribbon = rectangle("ribbon", 40.0, 5.0, z=0.0)

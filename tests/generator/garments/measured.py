@@ -43,7 +43,7 @@ def lengths(pattern: Pattern, edge: str, panels: Iterable[str] = BOTH) -> float:
 def ref_length(pattern: Pattern, ref: EdgeRef) -> float:
     """Length of one edge [cm]."""
     panel = pattern.panel(ref.panel)
-    return curve_length(*panel.edge_ends(ref.edge), panel.edges[ref.edge].curve)
+    return curve_length(*panel.edge_ends(ref.edge), panel.edge(ref.edge).curve)
 
 
 def ends(panel: Panel, edge: str) -> tuple[tuple[float, float], tuple[float, float]]:

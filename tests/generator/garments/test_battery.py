@@ -51,7 +51,7 @@ HOLDERS = {"lower_interface", "left_collar", "right_collar", "left_armhole", "ri
 def middle(pattern: Pattern, ref: EdgeRef) -> Float[np.ndarray, "3"]:
     """The middle of an edge in space."""
     panel = pattern.panel(ref.panel)
-    return panel.placement.apply(sample_curve(*panel.edge_ends(ref.edge), panel.edges[ref.edge].curve, 3))[1]
+    return panel.placement.apply(sample_curve(*panel.edge_ends(ref.edge), panel.edge(ref.edge).curve, 3))[1]
 
 
 def may_gather(pattern: Pattern, seam: Seam) -> bool:
@@ -59,7 +59,7 @@ def may_gather(pattern: Pattern, seam: Seam) -> bool:
 
     If the front of a shirt is wider than its back, its side and shoulder are drawn shorter.
     """
-    names = {pattern.panel(ref.panel).edges[ref.edge].name for ref in (seam.left, seam.right)}
+    names = {pattern.panel(ref.panel).edge(ref.edge).name for ref in (seam.left, seam.right)}
     is_torso = "torso" in seam.left.panel
     return bool(names & GATHERED) or (is_torso and names <= {"side", "shoulder"})
 
@@ -328,7 +328,7 @@ def test_a_cape_opens_below_its_clasp(woman: Measurements) -> None:
     assert all(seam.is_plain for seam in closed.seams)
     (front,) = (seam for seam in clasped.seams if not seam.is_plain)
     panel = clasped.panel(front.left.panel)
-    assert panel.edges[front.left.edge].name == "centre"
+    assert panel.edge(front.left.edge).name == "centre"
     along = curve_points(*panel.edge_ends(front.left.edge), LINE, np.array([0.0, *front.closed]))
     heights = panel.placement.apply(along)[:, 1]
     assert front.closed[1] - front.closed[0] == pytest.approx(0.25)

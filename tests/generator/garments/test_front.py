@@ -18,8 +18,8 @@ from gcd_dataset.generator.garments import (
 )
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.records import Closure, Measurements, Seam
-from tests.generator.garments.measured import lengths
+from gcd_dataset.records import Closure, EdgeRef, LineRole, Measurements, Seam
+from tests.generator.garments.measured import edge_lengths, lengths
 
 TORSOS = ("right_ftorso", "left_ftorso", "right_btorso", "left_btorso")
 CLOSED = [Closure.OPEN, Closure.ZIP, Closure.BUTTONS]
@@ -85,18 +85,25 @@ def test_a_zip_is_open_at_the_neck_by_its_share(woman: Measurements) -> None:
 
 @pytest.mark.parametrize("upper", ["Shirt", "FittedShirt"])
 @pytest.mark.parametrize("collar", [None, "Turtle", "SimpleLapel", "Hood2Panels"])
-def test_fronts_with_buttons_are_wider_by_half_the_stand_each(
-    woman: Measurements, upper: str, collar: str | None
-) -> None:
+def test_fronts_with_buttons_overlap_by_the_stand(woman: Measurements, upper: str, collar: str | None) -> None:
+    """Beside the extensions they are the fronts with a zip: neckline, hem and collar end at the centre front."""
     buttoned, zipped = (
         draw_garment(woman, fronted(how, upper=upper, collar=collar, stand=4.0)) for how in ("buttons", "zip")
     )
     for edge in ("bottom", "neck"):
-        wider = lengths(buttoned, edge, TORSOS) - lengths(zipped, edge, TORSOS)
-        assert wider == pytest.approx(4.0)
-    panels = [pattern.panel("right_ftorso") for pattern in (buttoned, zipped)]
-    right = [panel.placement.apply(panel.vertices)[:, 0].max() for panel in panels]
-    assert right == pytest.approx([0.0, 0.0])  # drawn edge to edge
+        assert lengths(buttoned, edge, TORSOS) == pytest.approx(lengths(zipped, edge, TORSOS))
+    right, left = (buttoned.panel(f"{side}_ftorso") for side in ("right", "left"))
+    reach = [panel.placement.apply(panel.vertices)[:, 0] for panel in (right, left)]
+    assert (reach[0].max(), reach[1].min()) == pytest.approx((2.0, -2.0))
+    for panel in (right, left):
+        [line] = panel.lines
+        assert line.role is LineRole.PLACEMENT
+        at = panel.placement.apply(np.array(panel.edge_ends(len(panel.edges))))
+        assert at[:, 0] == pytest.approx([0.0, 0.0], abs=1e-9)
+        assert np.ptp(at[:, 1]) == pytest.approx(sum(edge_lengths(zipped.panel(panel.name), "centre")))
+    sewn = {ref for seam in buttoned.seams for ref in (seam.left, seam.right)}
+    free = [edge.name for i, edge in enumerate(right.edges) if EdgeRef(right.name, i) not in sewn]
+    assert free.count("extension") == 3
 
 
 def test_the_upper_front_is_the_left_side_of_the_seam(woman: Measurements) -> None:
