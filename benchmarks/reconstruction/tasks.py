@@ -104,13 +104,14 @@ class ReconstructionTask:
     def validation(self, most: int, *, data: Path | None = None, workers: int = 0, **changes: Any) -> GarmentSet:
         """The garments on which weights, options and records are chosen, at most ``most`` of each part.
 
-        Other arguments as in ``load``.
+        Other arguments as in ``load``; a ``design`` among ``changes`` replaces the kinds of garments.
         """
         make = self._making(data, workers, changes)
+        parts = VALIDATION[:1] if "design" in changes else VALIDATION
         return GarmentSet.join(
             [
                 generated(min(count, most), seed, **(make | ({"design": design} if design else {})))
-                for seed, count, design in VALIDATION
+                for seed, count, design in parts
             ]
         )
 
