@@ -282,7 +282,7 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
     ),
     "bench": (
         "gcd bench inputs T1 t1 --mini",
-        "gcd bench submit answers t1 --card model.toml --out result.json && gcd bench board *.json",
+        "gcd bench submit answers t1 --card model.toml --out result.json",
     ),
     "info": ("gcd info shards", "gcd info org/garments"),
     "check": ("gcd check shards --bytes", "gcd check *_specification.json --errors"),

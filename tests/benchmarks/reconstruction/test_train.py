@@ -121,7 +121,7 @@ def test_the_report_is_written_before_answers_are_draped(
     """Drapes that are killed leave it as it is, and the next call drapes the answers, once."""
     call = ["--model", "typical", *small, "--test", "1", "--drape", "--out", str(tmp_path)]
     with monkeypatch.context() as patch, pytest.raises(SystemExit):
-        patch.setattr(runs, "evaluate", Mock(side_effect=SystemExit))
+        patch.setattr(runs, "score", Mock(side_effect=SystemExit))
         main(call)
     plain = json.loads((tmp_path / "report.json").read_text())
     assert "iou" in plain["scores"]
@@ -129,7 +129,7 @@ def test_the_report_is_written_before_answers_are_draped(
     assert main(call) == 0
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["scores"].keys() >= {*plain["scores"], *DRAPED}
-    monkeypatch.setattr(runs, "evaluate", Mock(side_effect=AssertionError))
+    monkeypatch.setattr(runs, "score", Mock(side_effect=AssertionError))
     assert main(call) == 0
 
 
@@ -214,9 +214,9 @@ def test_garments_of_a_folder_are_trained_on(
     flags = ["--model", "panel_set", "--smoke", "--train", "3", "--test", "3", "--steps", "1", "--device", "cpu"]
     flags += ["--source", str(tmp_path / "garments"), "--out", str(tmp_path / "out")]
     drape = Mock(side_effect=ConfigError("not draped here"))
-    monkeypatch.setattr(runs, "evaluate", drape)
+    monkeypatch.setattr(runs, "score", drape)
     assert main([*flags, "--drape"]) == 1
-    assert drape.call_args.args[0].resolution == TASKS["T0"].options["resolution"]
+    assert drape.call_args.kwargs["drapes"].resolution == TASKS["T0"].options["resolution"]
     assert main(flags) == 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["data"]["train"]["recipe"]["source"] == str(tmp_path / "garments")
