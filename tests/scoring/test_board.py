@@ -73,3 +73,10 @@ def test_a_task_that_is_unknown_or_unfinished(tmp_path: Path, capsys: pytest.Cap
     (tmp_path / "task.json").write_text('{"task": "T3", "finished": false}')
     assert main(["score", str(tmp_path), str(tmp_path)]) == 1
     assert "unfinished: the same gcd bench inputs command continues it" in capsys.readouterr().err
+    for content in ("[]", '{"task": ["T3"], "finished": true}'):
+        (tmp_path / "task.json").write_text(content)
+        assert main(["score", str(tmp_path), str(tmp_path)]) == 1
+        assert "task.json: no description of a task" in capsys.readouterr().err
+    (tmp_path / "task.json").write_text("[]")
+    assert main(["bench", "inputs", "T3", str(tmp_path)]) == 1
+    assert "task.json: the file must be a JSON object, found []" in capsys.readouterr().err
