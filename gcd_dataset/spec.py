@@ -312,7 +312,10 @@ def _side(entry: Mapping[str, Any], panels: Mapping[str, Panel], at: JsonPath) -
     """The edge, or the line, that a side of a stitch names."""
     name = at.text(entry.get("panel"), "panel")
     if entry.get("line") is None:
-        return EdgeRef(name, at.index(entry.get("edge"), "edge number"))
+        edge = at.index(entry.get("edge"), "edge number")
+        if name in panels and panels[name].lines and edge >= len(panels[name].edges):
+            raise at.error(f"panel {shown(name)} has no edge {edge}: correct panel or edge")
+        return EdgeRef(name, edge)
     if name not in panels or not 0 <= (line := at.index(entry["line"], "line number")) < len(panels[name].lines):
         raise at.error(f"panel {shown(name)} has no line {entry['line']}: correct panel or line")
     return EdgeRef(name, len(panels[name].edges) + line)

@@ -341,7 +341,10 @@ def _at_nodes(edges: Sequence[tuple[Point, Point, Curve]]) -> tuple[np.ndarray, 
 
 
 def require_closed(panel: Panel) -> None:
-    """Raise ``PatternError`` with the first edge that does not start at the end of the edge before."""
+    """Raise ``PatternError`` with the first edge that does not start at the end of the edge before.
+
+    Also for an edge or a line from or to a missing vertex.
+    """
     if not panel.edges:
         raise PatternError(f"panel {panel.name}: no edges: draw its outline")
     for index, edge in enumerate(panel.edges):
@@ -352,6 +355,11 @@ def require_closed(panel: Panel) -> None:
         if panel.edges[index - 1].end != edge.start:
             raise PatternError(
                 f"panel {panel.name}, edge {index}: does not start where the edge before ends: join them"
+            )
+    for index, line in enumerate(panel.lines):
+        if min(line.start, line.end) < 0 or max(line.start, line.end) >= len(panel.vertices):
+            raise PatternError(
+                f"panel {panel.name}, line {index}: no vertex {line.start} or {line.end}: correct its ends"
             )
 
 

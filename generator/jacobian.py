@@ -135,13 +135,14 @@ def drape_jacobian(
     ``DrapeError`` if the design or too many of its neighbours cannot be draped.
     """
     names = tuple(parameters) if parameters is not None else real_parameters(design, fitting.size)
-    known = _reals()
+    tree, known = design_to_dict(design), _reals()
     for name in names:
         if name not in known:
             raise ConfigError(f"no real parameter {name}{did_you_mean(name, known)}")
+        if value_at(tree, name) is None:
+            raise ConfigError(f"the design has no {name}: leave it out")
     low, high = np.array([known[name].range for name in names], float).reshape(-1, 2).T
     spans = high - low
-    tree = design_to_dict(design)
     centre = (np.array([value_at(tree, name) for name in names], float) - low) / spans
     count = pairs or max(PAIRS_EACH * len(names), FEWEST_PAIRS)
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (count, len(names)))

@@ -106,6 +106,16 @@ def test_a_stitch_to_a_missing_line_is_named() -> None:
         pattern_from_spec(spec, "tube")
 
 
+def test_a_stitch_to_a_missing_edge_sews_no_line() -> None:
+    """An edge number beyond the loop, as of a file that counts from 1, is not the number of a line."""
+    pattern = tube()
+    back = replace(pattern.panel("back"), lines=(InnerLine(0, 2),))
+    spec = parsed(replace(pattern, panels=(back, pattern.panel("front"))))
+    spec["pattern"]["stitches"].append([{"panel": "back", "edge": 4}, {"panel": "front", "edge": 0}])
+    with pytest.raises(SpecError, match=r"stitch \d: panel back has no edge 4: correct panel or edge"):
+        pattern_from_spec(spec, "tube")
+
+
 def test_a_reader_of_stitches_alone_sews_every_seam() -> None:
     """pygarment takes panel and edge of the first two entries of a stitch, and a third one for the word right_wrong."""
     plain, closed = parsed(tube())["pattern"], parsed(closing(tube(), (Closure.OPEN, (0.0, 1.0))))["pattern"]

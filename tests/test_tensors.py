@@ -233,6 +233,8 @@ def test_broken_patterns_are_named() -> None:
             "seam 0: closure velcro: give one of sewn, open, zip, buttons",
         ),
         (Pattern("p", (square(20.0, Arc(9.0, False, True)),), ()), "cannot span"),
+        (Pattern("p", (replace(panel, lines=(InnerLine(0, 9),)),), ()), "panel square, line 0: no vertex 0 or 9"),
+        (Pattern("p", (replace(panel, lines=(InnerLine(-1, 1),)),), ()), "panel square, line 0: no vertex -1 or 1"),
     ):
         with pytest.raises(PatternError, match=message):
             encode_pattern(pattern)

@@ -2,7 +2,7 @@
 
     python -m benchmarks.reconstruction.compare FIRST SECOND
 
-``FIRST`` and ``SECOND``: two folders of ``train --out``, or two JSON files of ``evaluate --json``. The test garments,
+``FIRST`` and ``SECOND``: two folders of ``train --out``, or two JSON files of ``gcd score --json``. The test garments,
 and the settings of drapes, must be the same. A line for each score of both:
 
     compare.iou +0.0138 [+0.00474, +0.0225] from 0.837 to 0.85 better
@@ -46,7 +46,7 @@ LOWER = frozenset({
 """Scores where lower is better."""
 NEITHER = frozenset({"seam_mismatch"})
 """Scores without a better side: the true patterns have a mismatch, too, since gathers count."""
-FOLDER, FILE = "folder of train --out", "JSON file of evaluate --json"
+FOLDER, FILE = "folder of train --out", "JSON file of gcd score --json"
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def _remarks(first: ModelScores, second: ModelScores) -> Iterator[str]:
 
 
 def read_scores(source: Path) -> ModelScores:
-    """The scores in a folder of ``train``, of ``EVALUATION`` if it is there, or in a file of ``evaluate --json``.
+    """The scores in a folder of ``train``, of ``EVALUATION`` if it is there, or in a file of ``gcd score --json``.
 
     Raises ``ConfigError`` for a source without scores of each garment, and for scores that are no finite numbers.
     """
@@ -143,8 +143,8 @@ def read_scores(source: Path) -> ModelScores:
         garments, of_drapes, _ = _evaluated(source / EVALUATION)
         return ModelScores(source, garments, {**settings, **of_drapes})
     path = source / SCORES
-    if not path.exists():  # stitching.run writes none
-        raise ConfigError(f"{source}: no {SCORES}: give a {FOLDER}, of a task other than T3")
+    if not path.exists():
+        raise ConfigError(f"{source}: no {SCORES}: give a {FOLDER}")
     text = read_whole(path, "table of scores", limit=LARGEST_JSON, error=ConfigError).decode(errors="replace")
     try:
         rows = [dict(row) for row in csv.DictReader(io.StringIO(text, newline=""), restkey="")]
@@ -168,13 +168,13 @@ def _test_set(report: Any, path: Path) -> dict[str, Any]:
 def _of_file(path: Path) -> ModelScores:
     garments, of_drapes, hashes = _evaluated(path)
     if not isinstance(hashes, dict) or "truth" not in hashes:
-        raise ConfigError(f"{path}: no hash of the true patterns: evaluate again with this version")
+        raise ConfigError(f"{path}: no hash of the true patterns: score again with this version")
     named = {f"hash of {name}": value for name, value in hashes.items()}
     return ModelScores(path, garments, {**named, **of_drapes}, FILE)
 
 
 def _evaluated(path: Path) -> tuple[dict[str, dict[str, float]], dict[str, Any], Any]:
-    """The contents of a file of ``evaluate --json``: scores of each garment, settings of drapes, hashes of the inputs.
+    """The contents of a file of ``gcd score --json``: scores of each garment, settings of drapes, hashes of the inputs.
 
     The settings are empty without drapes. The hashes are not checked.
     """
@@ -187,7 +187,7 @@ def _evaluated(path: Path) -> tuple[dict[str, dict[str, float]], dict[str, Any],
         of_drapes = {
             "resolution of the drapes": settings.get("resolution"),
             "--partial": bool(settings.get("partial")),
-            "--inputs given": settings.get("inputs") is not None,
+            "--inputs given": "inputs" in (settings.get("hashes") or ()),
             "version of the drapes": settings.get("gcd_dataset"),
         }
     return _by_garment(path, "name", found["garments"]), of_drapes, settings.get("hashes")

@@ -3,7 +3,7 @@
     python -m benchmarks.reconstruction.leaderboard                                     writes the reports again
     python -m benchmarks.reconstruction.leaderboard --add OUT/report.json --command "python -m … --out OUT"
 
-``--add`` copies the results of ``train`` or ``stitching.run`` into ``benchmarks/reports/learning``, with command,
+``--add`` copies the results of ``train`` into ``benchmarks/reports/learning``, with command,
 commit and date; smoke runs are refused. From the files there the reports ``learning_T0.md`` … and ``leaderboard.md``
 are written. Models are ranked on one test set for each task, among those with the same budget: garments, length and
 hardware of the training. Results on other garments have tables of their own. The record of a task is the entry with the

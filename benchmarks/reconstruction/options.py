@@ -70,9 +70,10 @@ class Config:
                 raise ConfigError(f"--{name.replace('_', '-')} {value}: give {low} or more")
         if bool(self.steps) == bool(self.minutes):
             raise ConfigError(f"--steps {self.steps} --minutes {self.minutes:g}: give one of them, above 0")
-        if not self.lr or not self.batch or self.ema >= 1:
-            given = f"--lr {self.lr:g} --batch {self.batch} --ema {self.ema:g}"
-            raise ConfigError(f"{given}: give a rate and a batch above 0, an ema below 1")
+        if not (self.lr and self.batch and self.log_every) or max(self.ema, self.warm_up) >= 1:
+            given = f"--lr {self.lr:g} --batch {self.batch} --log-every {self.log_every}"
+            below = f"--ema {self.ema:g} --warm-up {self.warm_up:g}"
+            raise ConfigError(f"{given} {below}: give the first three above 0, the others below 1")
         if self.fresh and self.fresh < self.train:
             raise ConfigError(f"--fresh {self.fresh}: give room for the {self.train} garments of --train, and more")
 

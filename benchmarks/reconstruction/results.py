@@ -155,7 +155,7 @@ def _read(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: {error}: give the report.json of a training") from error
     if not isinstance(found, dict) or not ("scores" in found or "one_to_one" in found):
-        raise ConfigError(f"{path} has no scores: give the report.json of train or stitching.run")
+        raise ConfigError(f"{path} has no scores: give the report.json of train")
     if isinstance(found.get("foreign"), dict):
         found["foreign"].pop("each", None)
     return found

@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 from trimesh.triangles import closest_point, points_to_barycentric
 
-from gcd_dataset.errors import DrapeError
+from gcd_dataset.errors import DrapeError, GcdError
 from gcd_dataset.generator.body import build_body, draw_shape, measure
 from gcd_dataset.generator.drape import drape_batch
 from gcd_dataset.generator.garments import GarmentDesign
@@ -190,7 +190,7 @@ def _closest(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print what search makes of moved designs. Returns the exit code; exits 2 for wrong usage."""
+    """Print what search makes of moved designs. Returns the exit code: 0, or 1 if nothing is draped; exits 2 for usage."""
     parser = argparse.ArgumentParser(prog="benchmarks.reconstruction.search", description=main.__doc__)
     parser.add_argument("--count", type=int, default=10, help="designs")
     parser.add_argument("--seed", type=int, default=0)
@@ -201,7 +201,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--workers", type=int, default=1)
     options = parser.parse_args(arguments)
-    rows = [row for number in range(options.count) if (row := _trial(number, options)) is not None]
+    try:
+        rows = [row for number in range(options.count) if (row := _trial(number, options)) is not None]
+        if not rows:
+            raise DrapeError(f"none of {options.count} designs can be draped: give --count or another --seed")
+    except GcdError as error:
+        print(f"search: {error}", file=sys.stderr)
+        return 1
     for name, before, after in zip(("iou", "mean_cm", "p95_cm"), *np.mean(rows, axis=0), strict=True):
         print(f"search.{name} {after:.3f} from {before:.3f} of {len(rows)} designs")
     return 0

@@ -23,6 +23,10 @@ def add_verbs(verbs: Any) -> None:
     """Add these verbs to ``gcd``."""
     score = add_verb(verbs, "score", _score, "compare the patterns that a model answered with the true ones")
     _add_scoring(score)
+    score.add_argument("--bodies", metavar="DIR|NAME", help="bodies named after the garments, or one for all")
+    score.add_argument("--inputs", type=Path, metavar="DIR", help="meshes or points [cm] that the model was given")
+    score.add_argument("--partial", action="store_true", help="inputs show a part of the garment, as a scan does")
+    score.add_argument("--resolution", type=float, metavar="CM", help="mesh edges of drapes (default: 2)")
     score.add_argument("--by-kind", action="store_true", help="also every score for each kind of garment")
     score.add_argument("--json", type=Path, metavar="FILE", help="write all scores of all garments")
 
@@ -37,6 +41,7 @@ def add_verbs(verbs: Any) -> None:
     add_quiet(inputs)
     submit = actions.add_parser("submit", help="score a model's answers for a task, as one result file")
     _add_scoring(submit)
+    submit.set_defaults(bodies=None, inputs=None, partial=False, resolution=None)  # a task's own, so that all are alike
     submit.add_argument("--card", type=Path, required=True, metavar="TOML", help="the model: see docs/evaluate.md")
     submit.add_argument("--out", type=Path, required=True, metavar="JSON", help="the result file")
     tables = actions.add_parser("board", help="print the tables of result files")
@@ -51,11 +56,7 @@ def _add_scoring(parser: Parser) -> None:
         "truth", type=Path, metavar="TRUTH|TASK", help="folder of true specification files, or of gcd bench inputs"
     )
     parser.add_argument("--repair", action="store_true", help="mend and name the faults of networks in specifications")
-    parser.add_argument("--bodies", metavar="DIR|NAME", help="bodies named after the garments, or one for all")
     parser.add_argument("--drape", action="store_true", help="also drape the answers on the bodies of their garments")
-    parser.add_argument("--inputs", type=Path, metavar="DIR", help="meshes or points [cm] that the model was given")
-    parser.add_argument("--partial", action="store_true", help="inputs show a part of the garment, as a scan does")
-    parser.add_argument("--resolution", type=float, metavar="CM", help="mesh edges of drapes (default: 2)")
     parser.add_argument("--device", metavar="NAME", help="device of the drapes: auto, cpu or cuda:0 (default: auto)")
     parser.add_argument("--workers", type=natural_number, default=1, metavar="K", help="processes (default: 1)")
     add_quiet(parser)
@@ -92,6 +93,7 @@ def _bench(options: argparse.Namespace) -> int:
 
     board.read_card(options.card)
     _require_file(options.out)
+    inputs.read_task(options.truth)
     result = board.result_of(_scores(options), options.card)
     write_whole(options.out, board.result_text(result).encode())
     print(f"{options.out}: {len(result['garments'])} garments")
@@ -120,7 +122,7 @@ def _scores(options: argparse.Namespace) -> "Scores":
         shown=partial(_with_bar, quiet=options.quiet),
     )
     for remark in scores.remarks:
-        print(f"gcd score: {remark}", file=sys.stderr)
+        print(f"gcd {options.verb}: {remark}", file=sys.stderr)
     return scores
 
 

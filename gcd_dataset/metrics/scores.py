@@ -72,10 +72,10 @@ class PatternScore:
 def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
     """Scores of ``predicted`` against ``true``. Predicted panels without a closed outline match nothing.
 
-    Lines inside panels, and their seams, are not scored. Raises ``PatternError`` if a panel of ``true`` has no closed
-    outline.
+    Lines inside panels, and their seams, count in ``valid`` alone. Raises ``PatternError`` if a panel of ``true`` has
+    no closed outline.
     """
-    predicted, true = predicted.without_lines(), true.without_lines()
+    whole, predicted, true = predicted, predicted.without_lines(), true.without_lines()
     true_shapes = [PanelShape.of(panel) for panel in true.panels]
     predicted_shapes = [shape_or_none(panel) for panel in predicted.panels]
     pairs = match_shapes(predicted_shapes, true_shapes)
@@ -92,7 +92,7 @@ def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
     named = {shape.panel.name: shape for shape in predicted_shapes if shape is not None}
     by_length = seam_lengths_score(predicted, true, pairs, named, {shape.panel.name: shape for shape in true_shapes})
     return PatternScore(
-        valid=float(_can_be_sewn(predicted, predicted_shapes)),
+        valid=float(_can_be_sewn(whole, predicted_shapes)),
         panel_count_acc=float(len(predicted_shapes) == len(true_shapes)),
         edge_count_acc=right_edges / larger if larger else 1.0,
         iou=sum(pair.iou for pair in pairs) / larger if larger else 1.0,

@@ -15,6 +15,7 @@ An answer that cannot be read is a failure with a reason, and stops nothing.
 """
 
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +35,9 @@ from gcd_dataset.tensors import PatternTensor, decode_pattern, sewn_rows
 
 DESIGN_FILES, ARRAYS = (".yaml", ".yml"), ".npz"
 TENSORS = ("panels", "edges", "stitches")
-UNREADABLE = (OSError, ValueError, TypeError, EOFError, KeyError, MemoryError, zipfile.BadZipFile)
+UNREADABLE = (
+    OSError, ValueError, TypeError, EOFError, KeyError, MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error
+)  # fmt: skip
 STRAIGHT = 0.01  # of the chord: rise of a control point from which an edge is curved
 
 
@@ -85,7 +88,7 @@ class AnswerReader:
             return self._drawn(path, name), ()
         if path.suffix.lower() == ARRAYS:
             return _from_tensors(path, name), ()
-        tree = read_json(path, "answer")
+        tree = read_json(path, "model's answer")
         if isinstance(tree, Mapping) and "pattern" not in tree:
             if "tokens" in tree:
                 return aipparel.decode(_tokens(tree, path), name), ()
@@ -143,11 +146,13 @@ def _flattened(tree: Mapping[str, Any], path: Path, name: str) -> Pattern:
     panels, refs = [], dict[Any, list[EdgeRef]]()
     for key, entry in at.mapping(tree["panels"], "panels").items():
         within = at.within(f"panel {key}")
-        curves = list(within.mapping(entry, "").get("curves", ()))
+        curves = within.list_of(entry, "curves") if within.mapping(entry, "a panel").get("curves") is not None else []
+        if not all(isinstance(curve, int | float | str) for curve in curves):
+            raise within.error("curves must be numbers: give the number of each edge's curve")
         try:
             lines = [np.array(points, float) for points in within.list_of(entry, "edge_points")]
             panel, rows = _chained(str(key), lines)
-        except (TypeError, ValueError, IndexError) as cause:
+        except (TypeError, ValueError, IndexError, OverflowError) as cause:
             raise within.error("edge_points are no lists of points [x, y]: give two points or more an edge") from cause
         panels.append(panel)
         for place, row in enumerate(rows):
@@ -176,7 +181,7 @@ def _chained(name: str, lines: list[np.ndarray]) -> tuple[Panel, list[int]]:
         start, end = corners[k], corners[(k + 1) % len(chain)]
         middle = line[len(line) // 2] if len(line) % 2 else line[len(line) // 2 - 1 :][:2].mean(axis=0)
         x, y = (2 * middle - 0.5 * (start + end)).tolist()
-        bent = to_frame((start[0], start[1]), (end[0], end[1]), (x, y))
+        bent = to_frame((float(start[0]), float(start[1])), (float(end[0]), float(end[1])), (x, y))
         edges.append(Edge(k, (k + 1) % len(chain), Quadratic(bent) if abs(bent[1]) > STRAIGHT else LINE))
     return Panel(name, corners, tuple(edges), Placement(np.zeros(3), np.zeros(3))), rows
 

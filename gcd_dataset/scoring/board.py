@@ -20,10 +20,12 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.errors import ConfigError, SpecError
-from gcd_dataset.jsonfile import read_json, read_toml
+from gcd_dataset.jsonfile import JsonPath, read_json, read_toml
 from gcd_dataset.scoring.folders import Scores
+from gcd_dataset.scoring.inputs import TASKS
 
 SCHEMA = 1
+DEVICES = ("CPU", "GPU", "")  # of the drapes of a task; empty without drapes
 CARD: Mapping[str, type] = {"name": str, "garments": int, "minutes": float, "weights": int, "hardware": str}
 MORE: Mapping[str, type] = {"url": str, "note": str, "baseline": bool}
 WORDS: Mapping[type, str] = {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}
@@ -50,17 +52,7 @@ def result_of(scores: Scores, card: Path) -> dict[str, Any]:
 def read_card(path: Path) -> dict[str, Any]:
     """A model card. Raises ``ConfigError``."""
     card = dict(read_toml(path))
-    if missing := [key for key in CARD if key not in card]:
-        raise ConfigError(f"{path}: no {', '.join(missing)}: a model card has {', '.join(CARD)}")
-    for key, value in card.items():
-        kind = CARD.get(key, MORE.get(key))
-        if kind is None:
-            raise ConfigError(f"{path}: {key} is unknown: a model card has {', '.join((*CARD, *MORE))}")
-        right = isinstance(value, kind) or (kind is float and isinstance(value, int))
-        if not right or isinstance(value, bool) != (kind is bool):
-            raise ConfigError(f"{path}: {key} is {value!r}: give {WORDS[kind]}")
-        if kind in (int, float) and not 0 <= value < math.inf:
-            raise ConfigError(f"{path}: {key} is {value}: give a number of 0 or more")
+    _require_card(card, path)
     return card
 
 
@@ -78,14 +70,35 @@ def tables(paths: Sequence[Path]) -> str:
     return "\n".join(line for key, results in sorted(groups.items()) for line in _table(*key, results))
 
 
+def _require_card(card: Mapping[str, Any], path: Path) -> None:
+    """Raise ``ConfigError`` for a card with a missing, unknown or impossible entry."""
+    if missing := [key for key in CARD if key not in card]:
+        raise ConfigError(f"{path}: no {', '.join(missing)}: a model card has {', '.join(CARD)}")
+    for key, value in card.items():
+        kind = CARD.get(key, MORE.get(key))
+        if kind is None:
+            raise ConfigError(f"{path}: {key} is unknown: a model card has {', '.join((*CARD, *MORE))}")
+        right = isinstance(value, kind) or (kind is float and isinstance(value, int))
+        if not right or isinstance(value, bool) != (kind is bool):
+            raise ConfigError(f"{path}: {key} is {value!r}: give {WORDS[kind]}")
+        if kind in (int, float) and not 0 <= value < math.inf:
+            raise ConfigError(f"{path}: {key} is {value}: give a number of 0 or more")
+
+
 def _read_result(path: Path) -> dict[str, Any]:
-    found = read_json(path, "result file")
-    parts = {"model", "settings", "figures"}
-    if not isinstance(found, dict) or found.get("schema") != SCHEMA or not parts <= found.keys():
+    found, at = read_json(path, "result file"), JsonPath(str(path))
+    if not isinstance(found, dict) or found.get("schema") != SCHEMA:
         raise SpecError(f"{path}: no result file of schema {SCHEMA}: make it with gcd bench submit")
-    if not {"task", "mini", "device", "hashes"} <= found["settings"].keys():
-        raise SpecError(f"{path}: its settings name no task: make it with gcd bench submit")
-    return found
+    model, settings, figures = (at.mapping(found.get(part), part) for part in ("model", "settings", "figures"))
+    _require_card(model, path)
+    at.text(at.mapping(settings.get("hashes"), "hashes").get("truth"), "hash of the truth")
+    if settings.get("task") not in list(TASKS) or settings.get("device") not in DEVICES:
+        raise SpecError(f"{path}: its settings name no task and device: make it with gcd bench submit")
+    for name, figure in figures.items():
+        for part in ("mean", "low", "high"):
+            at.number(at.mapping(figure, name).get(part), f"{part} of {name}")
+    at.list_of(found, "garments")
+    return {**found, "settings": {**settings, "mini": bool(settings.get("mini"))}}
 
 
 def _table(task: str, mini: bool, device: str, results: Sequence[tuple[Path, dict[str, Any]]]) -> Iterable[str]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from gcd_dataset.bodyfiles import read_measurements, require_same_body
 from gcd_dataset.errors import BodyError, shown
+from gcd_dataset.files import open_regular
 from gcd_dataset.generator.body import build_body, measure, named_body, read_body
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.jsonfile import read_json
@@ -22,6 +23,7 @@ MESHES = (".obj", ".ply", ".stl", ".glb")
 SHAPES = (".body.npy", ".npy")
 APART = "_apart"  # ending of the file of the same body with the legs apart
 MEASURES = (".yaml", "_measurements.yaml", "_body_measurements.yaml")
+LARGEST = 100.0  # standard deviations: no person's shape weights
 SEGMENTATION = "_segmentation.json"
 
 
@@ -127,13 +129,10 @@ def _beside(stem: Path, endings: tuple[str, ...]) -> Path | None:
 
 def _from_shape(path: Path, legs_apart: bool) -> tuple[Body, Measurements]:
     """The body of shape weights, measured with its legs straight unless its measures are given."""
-    try:
-        weights = np.load(path, allow_pickle=False).astype(float)
-    except (OSError, ValueError) as error:
-        raise BodyError(f"{path}: not an array of shape weights ({error}): save it with numpy.save") from error
+    weights = read_weights(path)
     known = len(body_model().components)
-    if weights.shape != (known,) or not np.isfinite(weights).all():
-        raise BodyError(f"{path}: shape weights of shape {weights.shape}: give {known} numbers")
+    if weights.shape != (known,) or not (np.abs(weights) < LARGEST).all():
+        raise BodyError(f"{path}: shape weights of shape {weights.shape}: give {known} numbers below {LARGEST:g}")
     stem = path.with_name(path.name.removesuffix(".npy").removesuffix(".body"))
     shape = BodyShape(weights, _arm_angle(stem.with_name(f"{stem.name}.meta.json")))
     straight = build_body(shape, name=stem.name)
@@ -143,6 +142,15 @@ def _from_shape(path: Path, legs_apart: bool) -> tuple[Body, Measurements]:
         ours, size = size, read_measurements(given)
         require_same_body(size, ours, given, path)
     return build_body(replace(shape, legs_apart=True), name=stem.name) if legs_apart else straight, size
+
+
+def read_weights(path: Path) -> np.ndarray:
+    """The shape weights in a ``.npy`` file. Raises ``BodyError`` for any other file."""
+    try:
+        with open_regular(path) as file:
+            return np.asarray(np.lib.format.read_array(file, allow_pickle=False), float)
+    except (OSError, ValueError, TypeError, MemoryError) as error:
+        raise BodyError(f"{path}: not an array of shape weights ({error}): save it with numpy.save") from error
 
 
 def _arm_angle(path: Path) -> float:

@@ -21,9 +21,10 @@ import numpy as np
 
 from gcd_dataset.errors import ConfigError, SpecError, did_you_mean
 from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.jsonfile import read_json
+from gcd_dataset.jsonfile import JsonPath, read_json
 from gcd_dataset.making.progress import Progress, ProgressCallback
 from gcd_dataset.patternhash import PatternHash, hash_pattern
+from gcd_dataset.scoring.bodies import read_weights
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import key_of
 from gcd_dataset.spec import read_pattern
@@ -172,14 +173,13 @@ class TaskFolder:
         return MINI if self.mini else TESTED
 
     def require_frozen(self) -> None:
-        """Raise ``SpecError`` unless the patterns and bodies that are there are those of the frozen test set."""
+        """Raise ``SpecError`` unless patterns and bodies are those of the frozen test set, ``BodyError`` for no body."""
         patterns, bodies = PatternHash(), hashlib.sha256()
         for index in range(self.count):
             name = key_of(index)
             patterns += hash_pattern(index, encode_pattern(read_pattern(self.truth / f"{name}_specification.json")))
-            with (self.bodies / f"{name}.npy").open("rb") as file:
-                weights = np.load(file, allow_pickle=False)
-            bodies.update(np.rint(weights.astype(float) / WEIGHT_STEP).astype("<i8").tobytes())
+            weights = read_weights(self.bodies / f"{name}.npy")
+            bodies.update(np.rint(weights / WEIGHT_STEP).astype("<i8").tobytes())
         frozen = FROZEN[self.mini]
         if not patterns.agrees(frozen["patterns"]) or bodies.hexdigest() != frozen["bodies"]:
             raise SpecError(
@@ -196,7 +196,7 @@ def is_task_folder(path: Path) -> bool:
 def read_task(path: Path) -> TaskFolder:
     """The task of a folder. Raises ``SpecError`` for one that is unfinished or was not written by ``write_inputs``."""
     tree = read_json(path / TASK, "description of a task")
-    if not isinstance(tree, dict) or tree.get("task") not in TASKS:
+    if not isinstance(tree, dict) or str(tree.get("task")) not in TASKS:
         raise SpecError(f"{path / TASK}: no description of a task: make the folder again with gcd bench inputs")
     if not tree.get("finished"):
         raise SpecError(f"{path}: unfinished: the same gcd bench inputs command continues it")
@@ -225,7 +225,7 @@ def write_inputs(
     folder = TaskFolder(out, task, mini, kind)
     tree: dict[str, Any] = {"task": task, "given": made.given, "mini": mini, "seed": SEED, "device": kind}
     if is_task_folder(out):
-        old = read_json(out / TASK, "description of a task")
+        old = dict(JsonPath(str(out / TASK)).mapping(read_json(out / TASK, "description of a task"), ""))
         if {**old, "finished": None, "hashes": None} != {**tree, "finished": None, "hashes": None}:
             raise ConfigError(f"{out}: holds inputs of task {old.get('task')} made in another way: give another folder")
     for part in (folder.inputs, folder.truth, folder.bodies):

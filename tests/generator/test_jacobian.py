@@ -57,3 +57,5 @@ def test_parameters_that_change_the_pattern() -> None:
     assert not [name for name in names if name.startswith(("shirt", "pants", "flare-skirt"))]
     with pytest.raises(ConfigError, match=r"no real parameter pencil-skirt\.lenght: did you mean pencil-skirt\.length"):
         drape_jacobian(SKIRT, NEUTRAL, ["pencil-skirt.lenght"], device="cpu")
+    with pytest.raises(ConfigError, match=r"the design has no cape\.length: leave it out"):
+        drape_jacobian(SKIRT, NEUTRAL, ["cape.length"], device="cpu")

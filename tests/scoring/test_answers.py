@@ -209,12 +209,29 @@ class Evil:
         return Path.touch, (self.path,)
 
 
+def test_damaged_arrays_are_failures(tmp_path: Path) -> None:
+    """Wherever a byte of the compressed numbers is wrong; and a file that is encrypted."""
+    tensor = encode_pattern(garment())
+    path = tmp_path / "belt.npz"
+    np.savez_compressed(path, panels=tensor.panels, edges=tensor.edges, stitches=tensor.stitches)
+    content = path.read_bytes()
+    for place in range(60, content.index(b"edges.npy") - 30, 5):
+        path.write_bytes(content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :])
+        assert read(path).failure, place
+    flags = content.index(b"PK\x01\x02") + 8
+    path.write_bytes(content[:flags] + b"\x01" + content[flags + 1 :])
+    assert "cannot be read" in read(path).failure
+
+
 @pytest.mark.parametrize(
     ("name", "content", "fault"),
     [
         ("belt.json", b'{"pattern": {', "line 1"),
         ("belt.json", b'{"tokens": [3], "values": {}}', "a token"),
         ("belt.json", b'{"panels": {"0": {"edge_points": [[[0, 0]], 5]}}}', "edge_points are no lists of points"),
+        ("belt.json", b'{"panels": {"0": {"edge_points": [], "curves": 5}}}', "curves must be a list, found 5"),
+        ("belt.json", b'{"panels": {"0": {"edge_points": [], "curves": [[1]]}}}', "curves must be numbers"),
+        ("belt.json", b'{"panels": {"0": {"edge_points": [[[0, 1' + 400 * b"0" + b"]]]}}}", "no lists of points"),
         ("belt.json", b'{"panels": {}}', "no panel"),
         ("belt.npz", b"PK", "cannot be read"),
         ("belt_design_params.yaml", b"design: 5", "design"),

@@ -47,6 +47,42 @@ def test_results_on_other_patterns_share_no_table(tmp_path: Path, capsys: pytest
 
 
 @pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"settings": ["task", "mini", "device", "hashes"]}, "settings must be a JSON object"),
+        ({"settings": {"task": ["T1"], "device": "CPU", "hashes": {"truth": "t"}}}, "its settings name no task"),
+        ({"settings": {"task": "T1", "device": "CPU", "hashes": {}}}, "hash of the truth must be a string"),
+        ({"model": {"name": "net"}}, "no garments, minutes, weights, hardware"),
+        ({"model": []}, "model must be a JSON object"),
+        ({"figures": {"iou": {"mean": None}}}, "mean of iou must be a number, found nothing"),
+        ({"garments": 5}, "garments must be a list, found 5"),
+    ],
+)
+def test_results_that_cannot_be_read(
+    change: dict[str, Any], fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Anybody may edit a result file: its fault is one sentence."""
+    path = result(tmp_path / "a.json", "net", 0.6)
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    assert main(["bench", "board", str(path)]) in (1, 2)
+    [line] = capsys.readouterr().err.splitlines()
+    assert f"a.json: {fault}" in line
+
+
+def test_results_of_a_task_have_its_bodies_and_resolution(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Scores on other bodies, inputs or meshes are no result, and other true patterns are told before the work."""
+    (tmp_path / "model.toml").write_text(CARD)
+    rest = ["--card", str(tmp_path / "model.toml"), "--out", str(tmp_path / "r.json"), "--drape"]
+    command = ["bench", "submit", str(tmp_path / "none"), str(tmp_path), *rest]
+    for option in (["--bodies", "neutral"], ["--resolution", "4"], ["--inputs", "x"], ["--partial"]):
+        with pytest.raises(SystemExit, match="2"):
+            main([*command, *option])
+    assert option[0] in capsys.readouterr().err
+    assert main(command) == 1
+    assert "task.json: no such file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     ("card", "fault"),
     [
         (CARD.replace("minutes = 8\n", ""), "no minutes: a model card has name"),
@@ -73,3 +109,10 @@ def test_a_task_that_is_unknown_or_unfinished(tmp_path: Path, capsys: pytest.Cap
     (tmp_path / "task.json").write_text('{"task": "T3", "finished": false}')
     assert main(["score", str(tmp_path), str(tmp_path)]) == 1
     assert "unfinished: the same gcd bench inputs command continues it" in capsys.readouterr().err
+    for content in ("[]", '{"task": ["T3"], "finished": true}'):
+        (tmp_path / "task.json").write_text(content)
+        assert main(["score", str(tmp_path), str(tmp_path)]) == 1
+        assert "task.json: no description of a task" in capsys.readouterr().err
+    (tmp_path / "task.json").write_text("[]")
+    assert main(["bench", "inputs", "T3", str(tmp_path)]) == 1
+    assert "task.json: the file must be a JSON object, found []" in capsys.readouterr().err

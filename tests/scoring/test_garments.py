@@ -205,6 +205,13 @@ def test_missing_and_broken_bodies(tmp_path: Path) -> None:
         wearers.wearer("skirt", legs_apart=False)
     with pytest.raises(BodyError, match="shape weights"):
         wearers.wearer("dress", legs_apart=False)
+    np.save(tmp_path / "giant.npy", np.full(20, 1e300))
+    (tmp_path / "empty.npy").touch()
+    np.savez(tmp_path / "several", weights=np.zeros(20))
+    (tmp_path / "several.npz").rename(tmp_path / "several.npy")
+    for name in ("giant", "empty", "several"):
+        with pytest.raises(BodyError, match=f"{name}.npy: .*shape weights"):
+            wearers.wearer(name, legs_apart=False)
     with pytest.raises(GcdError, match="nobody"):
         wearers_of("nobody")
     (tmp_path / "bodies.json").write_text("[]")

@@ -11,7 +11,7 @@ import pytest
 from gcd_dataset.cli import main
 from gcd_dataset.faults import MOST_EDGES, MOST_PANELS
 from gcd_dataset.metrics import PatternScore
-from gcd_dataset.records import Edge, Pattern
+from gcd_dataset.records import Edge, InnerLine, Pattern
 from gcd_dataset.spec import spec_from_pattern, write_pattern
 from tests.test_metrics import SAME, garment
 
@@ -60,6 +60,19 @@ def test_copies_are_perfect_however_they_are_written(
     for name in ("panel_l2", "transl_cm", "boxmesh_cd", "seam_mismatch"):
         assert found[name] == pytest.approx(0, abs=1e-2), name
     assert printed.err == ""
+
+
+def test_an_answer_with_a_line_from_nowhere_is_not_valid(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Lines are not scored, but they are cut with the panel."""
+    first, *others = garment().panels
+    lined = replace(garment(), panels=(replace(first, lines=(InnerLine(0, 99),)), *others))
+    assert run(save(tmp_path / "ours", {"a": garment(), "b": lined}), truth) == 0
+    printed = capsys.readouterr()
+    found = figures(printed.out)
+    assert (found["iou"], found["valid"]) == (0.5, 0.25)
+    assert "panel front, line 0: no vertex 0 or 99: correct its ends; not valid" in printed.out
 
 
 def test_every_garment_is_in_the_denominator(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -171,13 +171,13 @@ def test_models_of_other_test_sets_are_not_compared(
     ("change", "message"),
     [
         ({"resolution": 1.0}, "resolution of the drapes: 1.0, but 2.0 in "),
-        ({"inputs": "folder"}, "--inputs given: True, but False in "),
+        ({"hashes": {"truth": "t", "bodies": "b"}}, "--inputs given: False, but True in "),
         ({"hashes": {"truth": "t", "bodies": "c", "inputs": "d"}}, "hash of bodies: c, but b in "),
         ({"hashes": {"truth": "t", "bodies": "b", "inputs": "c"}}, "hash of inputs: c, but d in "),
     ],
 )
 def test_drapes_by_other_settings_are_not_compared(change: dict[str, Any], message: str, tmp_path: Path) -> None:
-    usual: dict[str, Any] = {"drape": True, "resolution": 2.0, "partial": False, "inputs": None, "gcd_dataset": "0.1"}
+    usual: dict[str, Any] = {"drape": True, "resolution": 2.0, "partial": False, "gcd_dataset": "0.1"}
     usual |= {"hashes": {"truth": "t", "bodies": "b", "inputs": "d"}}
     rows = [{"sim_ok": 1.0, "iou": 0.5}] * LEAST_GARMENTS
     one = read_scores(evaluated(tmp_path / "one.json", rows, **usual))
@@ -205,7 +205,7 @@ def test_missing_garments_are_named() -> None:
         (SCORES, "kind,iou\ndress,1\n", "garment 0 has no key"),
         (SCORES, "key,kind\ng0,dress\n", "no scores of garments"),
         (SCORES, f"key,kind,iou\ng0,{'x' * 200_000},1\n", "field larger than field limit"),
-        (SCORES, None, rf"a: no {SCORES}: give a folder of train --out, of a task other than T3"),
+        (SCORES, None, rf"a: no {SCORES}: give a folder of train --out"),
         (REPORT, '{"one_to_one": {}}', f"{REPORT}: .*no report of this version"),
         (REPORT, None, f"{REPORT}: no such file: give the path of a report of a finished training"),
     ],
@@ -224,7 +224,7 @@ def test_folders_without_scores_are_refused(tmp_path: Path, name: str, content: 
     [
         ('{"garments": []}', "no settings and garments"),
         ('{"settings": {}, "garments": [1]}', "garment 0 has no name"),
-        ('{"settings": {}, "garments": [{"name": "g", "iou": 1}]}', "no hash of the true patterns: evaluate again"),
+        ('{"settings": {}, "garments": [{"name": "g", "iou": 1}]}', "no hash of the true patterns: score again"),
         ('{"settings": {}, "garments": [{"name": "g", "iou": true}]}', "garment g: iou is True, no finite number"),
         ("{", "correct the JSON"),
     ],

@@ -236,6 +236,8 @@ def test_garments_of_a_folder_are_trained_on(
         (["--steps", "3", "--minutes", "1"], "give one of them"),
         (["--steps", "3", "--minutes", "nan"], "--minutes nan: give 0 or more"),
         (["--minutes", "inf"], "--minutes inf: give 0 or more"),
+        (["--log-every", "0"], "--log-every 0 --ema 0.999 --warm-up 0.05: give the first three above 0"),
+        (["--warm-up", "1"], "--warm-up 1: give the first three above 0, the others below 1"),
         (["--set", "width=0"], "width 0 of panel_set: give 1 or more"),
         (["--set", "width=33"], "width 33 is no multiple of heads 6 of panel_set: change one"),
         (["--set", "tables=3"], "no size tables of panel_set: choose of"),
