@@ -105,12 +105,15 @@ class Word(str):
 
 
 def command_lines() -> Iterator[str]:
-    """The options and arguments of each verb of ``gcd``."""
-    for verb, parser in _parser()[1].items():
+    """The options and arguments of each verb of ``gcd``, and of its actions."""
+    verbs = list(_parser()[1].items())
+    for verb, parser in verbs:
         if parser.add_slow_options is not None:
             parser.add_slow_options()
         for action in parser._actions:
-            if action.default is not argparse.SUPPRESS:
+            if isinstance(action, argparse._SubParsersAction):
+                verbs += [(f"{verb} {name}", each) for name, each in action.choices.items()]
+            elif action.default is not argparse.SUPPRESS:
                 facts = {name: getattr(action, name) for name in ("nargs", "const", "choices", "required")}
                 words = [f"{name}={value!r}" for name, value in facts.items() if value]
                 names = ", ".join(action.option_strings) or action.metavar

@@ -190,7 +190,7 @@ def _closest(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print what search makes of moved designs. Returns the exit code: 0, or 1 if nothing is draped; exits 2 for usage."""
+    """Print what search makes of moved designs. Returns the exit code, 1 if nothing is draped."""
     parser = argparse.ArgumentParser(prog="benchmarks.reconstruction.search", description=main.__doc__)
     parser.add_argument("--count", type=int, default=10, help="designs")
     parser.add_argument("--seed", type=int, default=0)

@@ -173,7 +173,7 @@ class TaskFolder:
         return MINI if self.mini else TESTED
 
     def require_frozen(self) -> None:
-        """Raise ``SpecError`` unless patterns and bodies are those of the frozen test set, ``BodyError`` for no body."""
+        """Raise ``SpecError`` unless all is that of the frozen set, ``BodyError`` for a body that cannot be read."""
         patterns, bodies = PatternHash(), hashlib.sha256()
         for index in range(self.count):
             name = key_of(index)
