@@ -242,7 +242,7 @@ def arranged(predicted: Pattern, true: Pattern) -> Pattern:
         taken.add(name)
         panels.append(replace(panel, name=name))
         refs |= _renumbered(panel, name, 0)
-    seams = [Seam(refs[seam.left], refs[seam.right], seam.right_wrong) for seam in predicted.seams]
+    seams = [replace(seam, left=refs[seam.left], right=refs[seam.right]) for seam in predicted.seams]
     return Pattern(true.name, tuple(panels), _ordered(seams, true.seams))
 
 
@@ -255,7 +255,8 @@ def _first_edge(pair: PanelPair) -> int:
 
 def _renumbered(panel: Panel, name: str, first: int) -> dict[EdgeRef, EdgeRef]:
     count = len(panel.edges)
-    return {EdgeRef(panel.name, edge): EdgeRef(name, (edge - first) % count) for edge in range(count)}
+    edges = {EdgeRef(panel.name, edge): EdgeRef(name, (edge - first) % count) for edge in range(count)}
+    return edges | {EdgeRef(panel.name, count + i): EdgeRef(name, count + i) for i in range(len(panel.lines))}
 
 
 def _ordered(seams: Sequence[Seam], true: Sequence[Seam]) -> tuple[Seam, ...]:
@@ -282,27 +283,34 @@ def _redrawn(pair: PanelPair, first: int) -> Panel:
         Edge(row, (row + 1) % len(turned), mirrored(edge.curve) if flipped else edge.curve, like.label)
         for row, (edge, like) in enumerate(zip(turned, labelled, strict=True))
     )
-    corners = shape.seen(own.vertices[[edge.start for edge in turned]]) * [true.side, 1.0] + true.centroid
+    starts, ends = [edge.start for edge in turned], [end for line in own.lines for end in (line.start, line.end)]
+    kept = starts + [end for end in dict.fromkeys(ends) if end not in starts]
+    lines = tuple(
+        replace(line, start=kept.index(line.start), end=kept.index(line.end),
+                curve=mirrored(line.curve) if flipped else line.curve)
+        for line in own.lines
+    )  # fmt: skip
+    vertices = shape.seen(own.vertices[kept]) * [true.side, 1.0] + true.centroid
     matrix = shape.matrix @ np.diag([true.side, 1.0, true.side])
     placement = Placement(shape.centre - matrix[:, :2] @ true.centroid, euler_angles(matrix))
-    panel = Panel(true.panel.name, corners, edges, placement, true.panel.label)
+    panel = Panel(true.panel.name, vertices, edges, placement, true.panel.label, lines)
     return true.panel if _is_same(panel, true.panel) else panel
 
 
 def _is_same(panel: Panel, true: Panel) -> bool:
     """Whether two panels with loops that start alike differ by rounding errors only."""
-    if len(panel.edges) != len(true.edges):
+    if (len(panel.edges), len(panel.lines)) != (len(true.edges), len(true.lines)):
         return False
     corners = np.array([true.vertices[edge.start] for edge in true.edges])
     return bool(
-        np.allclose(panel.vertices, corners, rtol=0, atol=ROUNDING)
+        np.allclose(panel.vertices[: len(corners)], corners, rtol=0, atol=ROUNDING)
         and np.allclose(panel.placement.translation, true.placement.translation, rtol=0, atol=ROUNDING)
         and np.allclose(panel.placement.matrix, true.placement.matrix, rtol=0, atol=TURN)
-        and all(_is_same_curve(panel, true, row) for row in range(len(true.edges)))
+        and all(_is_same_curve(panel, true, row) for row in range(len(true.edges) + len(true.lines)))
     )
 
 
 def _is_same_curve(panel: Panel, true: Panel, row: int) -> bool:
-    one, other = panel.edges[row].curve, true.edges[row].curve
-    ours, theirs = (sample_curve(*p.edge_ends(row), p.edges[row].curve, 9) for p in (panel, true))
+    one, other = panel.edge(row).curve, true.edge(row).curve
+    ours, theirs = (sample_curve(*p.edge_ends(row), p.edge(row).curve, 9) for p in (panel, true))
     return one.kind == other.kind and np.allclose(ours, theirs, rtol=0, atol=ROUNDING)

@@ -13,7 +13,7 @@ from gcd_dataset.curves import Cubic
 from gcd_dataset.errors import BodyError, GcdError, SpecError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
-from gcd_dataset.records import Edge, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Closure, Edge, EdgeRef, InnerLine, Panel, Pattern, Placement, Seam
 from gcd_dataset.scoring.answers import AnswerReader
 from gcd_dataset.scoring.bodies import Wearers, wearers_of
 from gcd_dataset.scoring.distances import (
@@ -229,6 +229,26 @@ def test_the_same_garment_is_arranged_as_the_true_one(change: str, skirt: Patter
         ours = arranged(SAME[change](whole), whole)
         assert ours.panels == whole.panels
         assert ours.seams == whole.seams
+
+
+@pytest.mark.parametrize("change", ["copied", "shuffled", "renamed"])
+def test_lines_and_their_closures_are_arranged(change: str) -> None:
+    """Also where the panels differ a little, so that they are not the true ones."""
+    front, back, sleeve = garment().panels
+    inner = np.array([[20.0, 5.0], [20.0, 55.0]])
+    front, back = (
+        replace(own, vertices=np.concatenate([own.vertices, inner]), lines=(InnerLine(4, 5),)) for own in (front, back)
+    )
+    seam = Seam(EdgeRef("front", 4), EdgeRef("back", 4), True, Closure.BUTTONS, (0.0, 0.5))
+    whole = replace(garment(), panels=(front, back, sleeve), seams=(*garment().seams, seam))
+    assert arranged(SAME[change](whole), whole) == replace(whole, extra={})
+    near = each(lambda own: replace(own, vertices=own.vertices * 1.01))(whole)
+    found = arranged(SAME[change](near), whole)
+    assert found.seams == whole.seams
+    for own, true in zip(found.panels, whole.panels, strict=True):
+        for row in range(len(true.edges), len(true.edges) + len(true.lines)):
+            ours, theirs = (p.placement.apply(np.array(p.edge_ends(row))) for p in (own, true))
+            assert np.abs(ours - theirs).max() < 1.0
 
 
 def test_arranging_keeps_panels_and_seams_without_a_match() -> None:
