@@ -9,7 +9,7 @@ A file is
 - ReWeaver's flattened panels as JSON, ``{"panels": {"0": {"edge_points": [[[x, y], ...], ...]}, ...}}`` [cm], with
   ``curves``, the curve of each edge: edges of two panels with the same curve are sewn together;
 - ``design_params.yaml`` of GarmentCode, drawn for the body of its garment;
-- ``panels``, ``edges`` and ``stitches`` of a ``PatternTensor`` as npz.
+- ``panels``, ``edges`` and ``stitches`` of a ``PatternTensor`` as npz, with its ``closures`` and ``lines``, if any.
 
 An answer that cannot be read is a failure with a reason, and stops nothing.
 """
@@ -31,7 +31,7 @@ from gcd_dataset.jsonfile import JsonPath, read_json
 from gcd_dataset.records import Edge, EdgeRef, Measurements, Panel, Pattern, Placement, Seam
 from gcd_dataset.scoring.garments import garment_name, require_size
 from gcd_dataset.spec import pattern_from_spec
-from gcd_dataset.tensors import PatternTensor, decode_pattern, sewn_rows
+from gcd_dataset.tensors import NO_LINES, PatternTensor, decode_pattern, sewn_rows
 
 DESIGN_FILES, ARRAYS = (".yaml", ".yml"), ".npz"
 TENSORS = ("panels", "edges", "stitches")
@@ -129,15 +129,15 @@ def _from_tensors(path: Path, name: str) -> Pattern:
     try:
         with np.load(path, allow_pickle=False) as file:
             panels, edges, stitches = (np.asarray(file[key], float) for key in TENSORS)
+            lines = np.asarray(file["lines"], float) if "lines" in file else NO_LINES
+            closures = np.asarray(file["closures"], float) if "closures" in file else sewn_rows(len(stitches))
     except UNREADABLE as cause:
         reason = shown(str(cause).partition("\n")[0])
         raise SpecError(f"cannot be read ({reason}): save {', '.join(TENSORS)} with numpy.savez") from cause
     if panels.ndim != 2 or edges.ndim != 2 or stitches.ndim != 2:
         raise SpecError("panels, edges and stitches are not all tables: save those of one garment in a file")
     names = tuple(map(str, range(len(panels))))
-    return decode_pattern(
-        PatternTensor(panels, edges, stitches.astype(int), sewn_rows(len(stitches)), names, name=name)
-    )
+    return decode_pattern(PatternTensor(panels, edges, stitches.astype(int), closures, names, name=name, lines=lines))
 
 
 def _flattened(tree: Mapping[str, Any], path: Path, name: str) -> Pattern:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from gcd_dataset.encodings import aipparel
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.metrics import score_pattern
-from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Closure, Edge, EdgeRef, InnerLine, Panel, Pattern, Placement, Seam
 from gcd_dataset.scoring.answers import Answer, AnswerReader
 from gcd_dataset.scoring.garments import garment_name
 from gcd_dataset.spec import read_pattern, write_pattern
@@ -156,6 +157,18 @@ def test_arrays_of_a_pattern_tensor(tmp_path: Path) -> None:
     tensor = encode_pattern(garment())
     save(tmp_path / "belt.npz", {"panels": tensor.panels, "edges": tensor.edges, "stitches": tensor.stitches})
     assert_perfect(read(tmp_path / "belt.npz"), garment())
+    first, second = garment().panels
+    lined = replace(garment(), panels=(replace(first, lines=(InnerLine(0, 2),)), second))
+    seam = Seam(EdgeRef(first.name, 4), EdgeRef(second.name, 0), True, Closure.BUTTONS, (0.0, 0.5))
+    tensor = encode_pattern(replace(lined, seams=(*lined.seams[:-1], seam)))
+    named = {key: getattr(tensor, key) for key in ("panels", "edges", "stitches", "closures", "lines")}
+    save(tmp_path / "belt.npz", named)
+    found = read(tmp_path / "belt.npz").pattern
+    assert found is not None
+    assert found.panels[0].lines[0].end == 2
+    assert (found.seams[-1].left.edge, found.seams[-1].closure) == (4, Closure.BUTTONS)
+    save(tmp_path / "belt.npz", named | {"closures": np.zeros((1, 3))})
+    assert "closures" in read(tmp_path / "belt.npz").failure
 
 
 def test_flattened_panels_are_chained_and_sewn_along_their_curves(tmp_path: Path) -> None:
