@@ -329,9 +329,12 @@ def _with_line_seams(
     for i, value in enumerate(entries):
         here = at.within(f"line stitch {i}")
         entry = here.mapping(value, "an entry of line_stitches")
-        turned = ["right_wrong"] if entry.get("right_wrong") else []
-        seam = _seam([*here.list_of(entry, "sides"), *turned], panels, here)
-        found.insert(here.index(given(entry, "seam", len(found)), "position"), seam)
+        turned, place = given(entry, "right_wrong", False), here.index(given(entry, "seam", len(found)), "seam")
+        if turned not in (True, False):
+            raise here.error("right_wrong is neither true nor false: give one of them")
+        if not 0 <= place <= len(found):
+            raise here.error(f"seam {place} is no position among {len(found)} seams: give 0 to {len(found)}")
+        found.insert(place, _seam([*here.list_of(entry, "sides"), *["right_wrong"] * turned], panels, here))
     return tuple(found)
 
 

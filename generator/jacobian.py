@@ -155,6 +155,8 @@ def drape_jacobian(
     jobs = [replace(worn[row].job, body=fitting.body, measurements=fitting.size) for row in alike]  # type: ignore[union-attr]
     drapes = drape_batch(jobs, device=device)
     settled = [k for k, drape in enumerate(drapes) if drape.outcome is Outcome.SETTLED]
+    if 0 not in settled:
+        raise DrapeError(f"the design does not settle: {drapes[0].outcome.value}")
     if len(settled) <= len(names):
         raise DrapeError(
             f"{len(settled)} of {len(places)} designs near this one settle, too few for {len(names)} parameters: take "

@@ -106,6 +106,22 @@ def test_a_stitch_to_a_missing_line_is_named() -> None:
         pattern_from_spec(spec, "tube")
 
 
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"seam": -7}, "seam -7 is no"),
+        ({"seam": 77}, "seam 77 is no"),
+        ({"right_wrong": "false"}, "right_wrong is nei"),
+    ],
+)
+def test_a_stitch_of_lines_with_an_impossible_entry_is_named(change: dict[str, Any], fault: str) -> None:
+    spec = parsed(tube())
+    sides = [{"panel": "back", "edge": 0}, {"panel": "front", "edge": 0}]
+    spec["pattern"]["line_stitches"] = [{"sides": sides, **change}]
+    with pytest.raises(SpecError, match=f"tube: line stitch 0: {fault}"):
+        pattern_from_spec(spec, "tube")
+
+
 def test_a_stitch_to_a_missing_edge_sews_no_line() -> None:
     """An edge number beyond the loop, as of a file that counts from 1, is not the number of a line."""
     pattern = tube()
