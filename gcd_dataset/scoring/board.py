@@ -25,7 +25,7 @@ from gcd_dataset.scoring.folders import Scores
 from gcd_dataset.scoring.inputs import TASKS
 
 SCHEMA = 1
-DEVICES = ("CPU", "GPU", "")  # of the drapes of a task; empty without drapes
+DEVICES = ("CPU", "GPU", "")  # that drape inputs and answers; empty without drapes
 CARD: Mapping[str, type] = {"name": str, "garments": int, "minutes": float, "weights": int, "hardware": str}
 MORE: Mapping[str, type] = {"url": str, "note": str, "baseline": bool}
 WORDS: Mapping[type, str] = {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}
@@ -57,7 +57,7 @@ def read_card(path: Path) -> dict[str, Any]:
 
 
 def tables(paths: Sequence[Path]) -> str:
-    """Markdown tables of result files, one for each task, size of the test set and kind of device.
+    """Markdown tables of result files, one for each task, size of the test set and kinds of the devices that draped.
 
     Models of one table are ranked among those with equal garments, minutes and hardware; baselines stand below. Raises
     ``SpecError`` for a file that is no result, and for results on different test sets in one table.
@@ -66,7 +66,9 @@ def tables(paths: Sequence[Path]) -> str:
     for path in paths:
         result = _read_result(path)
         settings = result["settings"]
-        groups[settings["task"], settings["mini"], settings["device"]].append((path, result))
+        draped = {"inputs draped on a": settings["device"], "answers on a": settings.get("draped_on")}
+        devices = ", ".join(f"{what} {device}" for what, device in draped.items() if device)
+        groups[settings["task"], settings["mini"], devices].append((path, result))
     return "\n".join(line for key, results in sorted(groups.items()) for line in _table(*key, results))
 
 
@@ -92,7 +94,8 @@ def _read_result(path: Path) -> dict[str, Any]:
     model, settings, figures = (at.mapping(found.get(part), part) for part in ("model", "settings", "figures"))
     _require_card(model, path)
     at.text(at.mapping(settings.get("hashes"), "hashes").get("truth"), "hash of the truth")
-    if settings.get("task") not in list(TASKS) or settings.get("device") not in DEVICES:
+    devices = (settings.get("device"), settings.get("draped_on", ""))
+    if settings.get("task") not in list(TASKS) or any(device not in DEVICES for device in devices):
         raise SpecError(f"{path}: its settings name no task and device: make it with gcd bench submit")
     for name, figure in figures.items():
         for part in ("mean", "low", "high"):
@@ -101,7 +104,7 @@ def _read_result(path: Path) -> dict[str, Any]:
     return {**found, "settings": {**settings, "mini": bool(settings.get("mini"))}}
 
 
-def _table(task: str, mini: bool, device: str, results: Sequence[tuple[Path, dict[str, Any]]]) -> Iterable[str]:
+def _table(task: str, mini: bool, devices: str, results: Sequence[tuple[Path, dict[str, Any]]]) -> Iterable[str]:
     first = results[0]
     for path, result in results:
         if result["settings"]["hashes"]["truth"] != first[1]["settings"]["hashes"]["truth"]:
@@ -113,7 +116,7 @@ def _table(task: str, mini: bool, device: str, results: Sequence[tuple[Path, dic
         return bool(result["model"].get("baseline")), -result["figures"].get(headline, {"mean": -1.0})["mean"]
 
     count = len(first[1]["garments"])
-    yield f"## {task}: {count} garments{' (mini)' if mini else ''}{f', draped on a {device}' if device else ''}"
+    yield f"## {task}: {count} garments{' (mini)' if mini else ''}{f', {devices}' if devices else ''}"
     yield ""
     yield f"| rank | model | {' | '.join(columns)} | garments | minutes | weights | hardware |"
     yield f"|{'---|' * (len(columns) + 6)}"

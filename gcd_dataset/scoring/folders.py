@@ -14,7 +14,7 @@ from gcd_dataset.scoring.answers import AnswerReader
 from gcd_dataset.scoring.bodies import NEUTRAL, Wearers, wearers_of
 from gcd_dataset.scoring.distances import input_files, read_shape
 from gcd_dataset.scoring.garments import SPACING, Scored, read_true, remarks_of, score_pair, true_files
-from gcd_dataset.scoring.inputs import INPUT_DRAPES, TaskFolder, is_task_folder, read_task
+from gcd_dataset.scoring.inputs import INPUT_DRAPES, TaskFolder, device_class, is_task_folder, read_task
 from gcd_dataset.scoring.table import Summary, garment_table, line_of, summaries, summaries_by_kind, tree_of
 from gcd_dataset.workers import parallel_map
 
@@ -109,6 +109,7 @@ def score(
         shapes = {name: read_shape(path) for name, path in _inputs(drapes.inputs, files).items()}
         wearers.require(files)
         settings |= {"drape": True, "resolution": drapes.resolution, "partial": drapes.partial}
+        settings["draped_on"] = device_class(drapes.device)
         hashes["bodies"] = _bodies_hash(bodies or NEUTRAL)
         if drapes.inputs:
             hashes["inputs"] = _hash_of(_inputs(drapes.inputs, files))

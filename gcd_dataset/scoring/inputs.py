@@ -203,6 +203,13 @@ def read_task(path: Path) -> TaskFolder:
     return TaskFolder(path, str(tree["task"]), bool(tree.get("mini")), str(tree.get("device", "")))
 
 
+def device_class(device: str) -> str:
+    """``CPU`` or ``GPU``. Raises ``ConfigError`` for a missing device."""
+    from gcd_dataset.generator.device import resolve_device
+
+    return "CPU" if resolve_device(device) == "cpu" else "GPU"
+
+
 def write_inputs(
     task: str,
     out: Path,
@@ -217,11 +224,10 @@ def write_inputs(
     ``mini``: the first hundred, for a laptop. ``workers``: processes that make garments. Raises ``ConfigError`` for an
     unknown task or a folder of other inputs, ``SpecError`` where the garments are not those of the frozen hashes.
     """
-    from gcd_dataset.generator.device import resolve_device
     from gcd_dataset.loaders import VIEW_FIELDS, FreshGarments, GeneratedGarments
 
     made = task_named(task)
-    kind = ("GPU" if resolve_device(device) != "cpu" else "CPU") if made.options["drape"] else ""
+    kind = device_class(device) if made.options["drape"] else ""
     folder = TaskFolder(out, task, mini, kind)
     tree: dict[str, Any] = {"task": task, "given": made.given, "mini": mini, "seed": SEED, "device": kind}
     if is_task_folder(out):

@@ -36,6 +36,18 @@ def test_only_equal_budgets_are_ranked(tmp_path: Path) -> None:
     assert rows[1][2] == "0.700 [0.600, 0.800]"
 
 
+def test_drapes_of_a_cpu_and_of_a_gpu_share_no_table(tmp_path: Path) -> None:
+    files = [result(tmp_path / f"{kind}.json", kind, 0.5) for kind in ("CPU", "GPU")]
+    for path in files:
+        tree = json.loads(path.read_text())
+        tree["settings"]["draped_on"] = path.stem
+        path.write_text(json.dumps(tree))
+    heads = [line for line in tables(files).splitlines() if line.startswith("## ")]
+    assert heads == [
+        f"## T1: 1 garments (mini), inputs draped on a CPU, answers on a {kind}" for kind in ("CPU", "GPU")
+    ]
+
+
 def test_results_on_other_patterns_share_no_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [result(tmp_path / "a.json", "one", 0.6), result(tmp_path / "b.json", "other", 0.7, truth="u")]
     assert main(["bench", "board", *map(str, files)]) == 1
