@@ -38,7 +38,7 @@ def test_answers_are_draped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert main([*call, "--drape"]) == 0
     report = json.loads((out / "report.json").read_text())
     assert report["scores"].items() >= plain["scores"].items()
-    monkeypatch.setattr(runs, "evaluate", Mock(side_effect=AssertionError))
+    monkeypatch.setattr(runs, "score", Mock(side_effect=AssertionError))
     for flags in ([], ["--drape"]):
         assert main([*call, *flags]) == 0
     assert json.loads((out / "report.json").read_text()) == report
