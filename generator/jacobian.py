@@ -71,7 +71,10 @@ class Fitting:
 
 @dataclass(frozen=True, eq=False)
 class DrapeJacobian:
-    """A drape, and how its vertices move with the parameters of its design; vertices are those of ``worn.job``."""
+    """A drape, and the movement of its vertices with the parameters of its design.
+
+    Vertices are those of ``worn.job.box_mesh``.
+    """
 
     parameters: tuple[str, ...]
     """Paths in design files, such as ``pants.length``."""

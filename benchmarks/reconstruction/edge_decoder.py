@@ -225,7 +225,7 @@ class _Draft:
         self._open = torch.zeros(batch, dtype=torch.bool, device=device)
         self._is_edge = self._open
         self.ended = self._open
-        """Garments whose pattern is complete."""
+        """Mask of the garments with a complete pattern."""
 
     def start(self) -> Tokens:
         """The token that begins every sequence."""

@@ -32,7 +32,7 @@ class Config:
     task: str = option("T0", "a task of benchmarks/reconstruction/tasks.py")
     out: str = option("out", "folder of the results; a repeated call goes on there")
     train: int = option(4000, "garments to train on")
-    test: int = option(0, "garments to test on; 0: those of the task")
+    test: int = option(0, "garments to test on; 0: as many as the task names")
     validate: int = option(0, "most garments of each part of the validation set, which chooses the weights and the "
                            "record; 500: all; 0: the last weights answer, and 32 garments are watched")  # fmt: skip
     data: str = option("", "folder that keeps generated garments; empty: garments beside --out")

@@ -41,7 +41,7 @@ class SewnPiece:
 
 
 def seam_counts(predicted: Pattern, true: Pattern, pairs: Sequence[PanelPair]) -> tuple[int, int, int, int]:
-    """Numbers of right seams, of those that also join the right ends (``right_wrong``), of predicted and true seams.
+    """Numbers of seams: right; right, with the right ends (``right_wrong``); predicted; true.
 
     Edges of matched panels are matched by their midpoints.
     """

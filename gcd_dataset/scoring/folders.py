@@ -83,8 +83,9 @@ def score(
     """The scores of a folder of answers. Every true pattern counts: a missing answer gets the worst of every score.
 
     ``truth``: a folder of true specification files, or a folder of ``write_inputs``, which has bodies and inputs of its
-    own. ``repair``: see ``AnswerReader``. ``bodies``: see ``wearers_of``. ``drapes``: also drape the
-    answers. Raises ``GcdError`` for folders, true patterns, bodies and inputs that are missing or cannot be read.
+    own. ``repair``: see ``AnswerReader``. ``bodies``: see ``wearers_of``. ``drapes``: also drape the answers.
+
+    Raises ``GcdError`` for folders, true patterns, bodies and inputs that are missing or cannot be read.
     """
     task = read_task(truth) if is_task_folder(truth) else None
     if task:
@@ -106,13 +107,14 @@ def score(
     settings: dict[str, Any] = {"gcd_dataset": __version__, "numpy": np.__version__, "hashes": hashes}
     settings |= {"task": task.task, "mini": task.mini, "device": task.device} if task else {}
     if drapes:
-        shapes = {name: read_shape(path) for name, path in _inputs(drapes.inputs, files).items()}
+        given = _inputs(drapes.inputs, files)
+        shapes = {name: read_shape(path) for name, path in given.items()}
         wearers.require(files)
         settings |= {"drape": True, "resolution": drapes.resolution, "partial": drapes.partial}
         settings["draped_on"] = device_class(drapes.device)
         hashes["bodies"] = _bodies_hash(bodies or NEUTRAL)
         if drapes.inputs:
-            hashes["inputs"] = _hash_of(_inputs(drapes.inputs, files))
+            hashes["inputs"] = _hash_of(given)
         from gcd_dataset.scoring.draping import with_drapes
 
         draped = with_drapes(

@@ -173,7 +173,10 @@ class TaskFolder:
         return MINI if self.mini else TESTED
 
     def require_frozen(self) -> None:
-        """Raise ``SpecError`` unless all is that of the frozen set, ``BodyError`` for a body that cannot be read."""
+        """Compare all patterns and bodies with the hashes of the frozen set.
+
+        Raises ``SpecError`` if they differ, ``BodyError`` for a body that cannot be read.
+        """
         patterns, bodies = PatternHash(), hashlib.sha256()
         for index in range(self.count):
             name = key_of(index)
@@ -219,7 +222,7 @@ def write_inputs(
     workers: int = 0,
     on_progress: ProgressCallback | None = None,
 ) -> TaskFolder:
-    """Write the test inputs of a task, each file whole; goes on where an earlier call stopped.
+    """Write the test inputs of a task; go on where an earlier call stopped.
 
     ``mini``: the first hundred, for a laptop. ``workers``: processes that make garments. Raises ``ConfigError`` for an
     unknown task or a folder of other inputs, ``SpecError`` where the garments are not those of the frozen hashes.

@@ -17,7 +17,7 @@ SKIRT = design_from_dict({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"l
 
 
 def test_mean_value_coordinates_give_back_points_inside_and_on_the_outline() -> None:
-    """Of a polygon that is not convex, whose corners lie in rows."""
+    """The polygon is not convex, and has corners on straight sides."""
     loop = np.array([[0, 0], [4, 0], [8, 0], [8, 8], [6, 8], [4, 2], [2, 8], [0, 8], [0, 4]], float)
     points = np.array([[1, 1], [7, 7], [4, 1.9], [4, 0], [6, 0], [0, 0], [5, 5], [0, 3]], float)
     weights = mean_value_coordinates(points, loop)
