@@ -8,10 +8,9 @@ worker (``READY`` and ``AHEAD`` of ``generator.maker``: 120 garments a worker). 
 is the rate of one draping process with unlimited prepared garments, measured after the loop; ``share`` is the loop's
 rate divided by it, with two such processes per GPU feeding the loop.
 
-On a GPU, with box meshes or drapes, two networks are then trained to predict the body from the garment, with each
-garment replayed ``--replay`` times. ``small``: a few layers per point. ``large``: a transformer with enough layers that
-a step takes longer than making its garments, timed beforehand on a batch in memory. ``*_waits``: the share of time in
-which a network has no batch; ``*_gpu_idle``: from the mean utilisation that nvidia-smi reports, of all processes.
+On a GPU, with box meshes or drapes, a network of a few layers per point is then trained to predict the body from the
+garment, with each garment replayed ``--replay`` times. ``small_waits``: the share of time in which it has no batch;
+``*gpu_idle*``: from the mean utilisation that nvidia-smi reports, of all processes.
 """
 
 import argparse
@@ -32,9 +31,7 @@ from gcd_dataset.loaders import FreshGarments, GarmentLoader, GeneratedGarments
 COUNT = 10**6  # garments, more than any run makes
 FIELDS = {"pattern": ("panels", "edges", "stitches", "body"), "mesh": ("points", "body", "box", "faces")}
 FIELDS["drape"] = ("points", "body", "verts", "faces")
-LAYERS = (1, 2, 4, 8, 16, 32, 64)  # candidates for the large network; 3 million weights per layer
 ROOM = 256  # garments that a training uses in turn
-SLACK = 1.25  # least step time of the large network over the time to make the step's garments
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,11 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--batch", type=int, default=8, help="garments in a batch of the loop")
     parser.add_argument("--warm", type=int, default=64, help="garments before the clock starts")
     parser.add_argument("--prepared", type=int, default=32, help="distinct designs for the draper's own rate")
-    parser.add_argument("--replay", type=float, default=8.0, help="uses of each garment by the networks")
+    parser.add_argument("--replay", type=float, default=8.0, help="uses of each garment by the network")
 
 
 def run(options: argparse.Namespace) -> CaseResult:
-    """Measure the loop, the draper and the networks. Raises ``ConfigError`` for options out of range."""
+    """Measure the loop, the draper and the network. Raises ``ConfigError`` for options out of range."""
     if options.seconds <= 0 or min(options.workers, options.warm) < 0 or min(options.batch, options.prepared) < 1:
         raise ConfigError("give --seconds above 0, --workers and --warm of 0 or more, --batch and --prepared of 1")
     garments = GeneratedGarments(
@@ -75,7 +72,7 @@ def run(options: argparse.Namespace) -> CaseResult:
             Figure("share", rate / own / len(devices), "of the draping processes' own rate, one for each GPU"),
         ]
     if options.stage != "pattern" and on_gpu:
-        figures += _trained(garments, options, rate, devices[0])
+        figures += _trained(garments, options, devices[0])
     return CaseResult(figures)
 
 
@@ -105,63 +102,29 @@ def _pass_warm(batches: Iterator[Any], options: argparse.Namespace, *, replay: f
         next(batches)
 
 
-def _trained(garments: GeneratedGarments, options: argparse.Namespace, rate: float, name: str) -> list[Figure]:
-    """Figures of the small network, then of a large one for which ``rate`` suffices, on the same stream."""
+def _trained(garments: GeneratedGarments, options: argparse.Namespace, name: str) -> list[Figure]:
+    """Steps per second of the network, and the share of time in which it waits for a batch."""
     device = torch.device(name)
     batches = _batches(garments, options, replay=options.replay)
     first = next(batches)
-    outputs = first["body"].reshape(options.batch, -1).shape[1]
-    # Chosen first: the small network then consumes the garments made meanwhile.
-    least = SLACK * options.batch / (rate * options.replay)
-    large, layers, seconds = _large(outputs, first, device, options.batch, least)
-    weights = sum(weight.numel() for weight in large.parameters()) / 1e6
+    training = _Training(_PointNet(first["body"].reshape(options.batch, -1).shape[1]), device, options.batch)
     _pass_warm(batches, options, replay=options.replay)
     with gpu_load(garments.config.device) as load:
-        figures = _waits("small", _PointNet(outputs), batches, device, options)
-    figures += [Figure("small_gpu_idle", load.idle, "of the time")] if load.watts else []
-    figures += [
-        Figure("large_layers", layers, f"of a transformer, {weights:.0f} million weights"),
-        Figure("large_step_s", seconds, "s, with the batch in memory"),
-    ]
-    with gpu_load(garments.config.device) as load:
-        figures += _waits("large", large, batches, device, options)
-    return figures + ([Figure("large_gpu_idle", load.idle, "of the time")] if load.watts else [])
-
-
-def _waits(
-    name: str, net: nn.Module, batches: Iterator[Any], device: torch.device, options: argparse.Namespace
-) -> list[Figure]:
-    """Steps per second of a network, and the share of time in which it waits for a batch."""
-    training = _Training(net, device, options.batch)
-    training.step(next(batches))
-    begun, waited, steps = time.perf_counter(), 0.0, 0
-    while time.perf_counter() - begun < options.seconds:
-        asked = time.perf_counter()
-        batch = next(batches)
-        waited += time.perf_counter() - asked
-        training.step(batch)
-        steps += 1
-    seconds = time.perf_counter() - begun
-    return [
-        Figure(f"{name}_steps_per_second", steps / seconds, f"of {options.batch} garments"),
-        Figure(f"{name}_fresh_per_second", steps * options.batch / options.replay / seconds, "garments"),
-        Figure(f"{name}_waits", waited / seconds, "of the time"),
-    ]
-
-
-def _large(outputs: int, batch: Any, device: torch.device, size: int, least: float) -> tuple[nn.Module, int, float]:
-    """The smallest transformer whose step takes ``least`` seconds, or the largest; its layers and seconds per step."""
-    for layers in LAYERS:
-        net = _Transformer(outputs, layers)
-        training = _Training(net, device, size)
-        training.step(batch)
-        begun = time.perf_counter()
-        for _ in range(3):
+        training.step(next(batches))
+        begun, waited, steps = time.perf_counter(), 0.0, 0
+        while time.perf_counter() - begun < options.seconds:
+            asked = time.perf_counter()
+            batch = next(batches)
+            waited += time.perf_counter() - asked
             training.step(batch)
-        seconds = (time.perf_counter() - begun) / 3
-        if seconds >= least:
-            break
-    return net, layers, seconds
+            steps += 1
+        seconds = time.perf_counter() - begun
+    figures = [
+        Figure("small_steps_per_second", steps / seconds, f"of {options.batch} garments"),
+        Figure("small_fresh_per_second", steps * options.batch / options.replay / seconds, "garments"),
+        Figure("small_waits", waited / seconds, "of the time"),
+    ]
+    return figures + ([Figure("small_gpu_idle", load.idle, "of the time")] if load.watts else [])
 
 
 class _Training:
@@ -195,18 +158,3 @@ class _PointNet(nn.Module):
     def forward(self, points: torch.Tensor) -> torch.Tensor:
         """[B, n, 6] to [B, outputs]."""
         return self.all(self.each(points).amax(dim=1))
-
-
-class _Transformer(nn.Module):
-    """A transformer on tokens of 16 points."""
-
-    def __init__(self, outputs: int, layers: int) -> None:
-        super().__init__()
-        self.token = nn.Linear(16 * 6, 512)
-        layer = nn.TransformerEncoderLayer(512, 8, 2048, dropout=0.0, batch_first=True)
-        self.layers = nn.TransformerEncoder(layer, layers)
-        self.all = nn.Linear(512, outputs)
-
-    def forward(self, points: torch.Tensor) -> torch.Tensor:
-        """[B, n, 6] to [B, outputs]."""
-        return self.all(self.layers(self.token(points.reshape(len(points), -1, 16 * 6))).mean(dim=1))

@@ -69,14 +69,11 @@ def test_a_duration_of_zero_is_refused() -> None:
 
 
 def test_the_networks_waiting_times_are_measured() -> None:
-    """The large network is just slow enough for the garments' rate: one layer at a million garments per second."""
     asked = options("--workers", "0", "--seconds", "0.1", "--warm", "2", "--batch", "2")
     garments = GeneratedGarments(99, stage="mesh", resolution=8.0, points=256, fields=generated.FIELDS["mesh"])
-    figures = {figure.metric: figure.value for figure in generated._trained(garments, asked, 1e6, "cpu")}
-    assert figures["large_layers"] == 1
-    for network in ("small", "large"):
-        assert figures[f"{network}_steps_per_second"] > 0
-        assert 0 <= figures[f"{network}_waits"] < 1
+    figures = {figure.metric: figure.value for figure in generated._trained(garments, asked, "cpu")}
+    assert figures["small_steps_per_second"] > 0
+    assert 0 <= figures["small_waits"] < 1
 
 
 RECORDED = Path(benchmarks.run.__file__).parent / "data" / "freesewing.tar.xz"
