@@ -3,8 +3,6 @@
     python -m benchmarks.run drape PATTERNS/*/default_body/*_specification.json \\
         --body mean_all.obj --body-apart mean_all_apart.obj --measurements mean_all.yaml --segmentation parts.json
     python -m benchmarks.run drape --count 500 --batch 128 --sheet drapes.jpg --failures failed/
-    python -m benchmarks.run drape --count 100 --batch 128 --ablation
-    python -m benchmarks.run drape --count 250 --memory 1000
     python -m benchmarks.run drape dress_pencil_specification.json --body mean_all.obj --peer newton --batches 1 16 64
     python -m benchmarks.run drape --count 220 --reference-designs --batch 128 --body mean_all.obj \\
         --body-apart mean_all_apart.obj --measurements mean_all.yaml --segmentation parts.json
@@ -13,12 +11,10 @@ Kernels are loaded before the clock starts. The time is from box mesh to drape; 
 are made with their box meshes and timed separately. With ``--batch 1`` a garment's seconds are its own, otherwise its
 share of the batch. ``--count`` samples that many designs of a seed, each for the neutral body and a random one; the
 table lists the garments that did not settle. ``clean``: the share that settled without a crossing edge of any kind;
-``grade_clean``: the share that also has no panel stretched too far, see ``generator.quality``. ``--ablation`` drapes
-them once per switched feature. ``--memory`` drapes them in turn in this process and records process and GPU memory
-after every 50. ``--reference-designs``: designs drawn and selected like GarmentCode's, each on the given body, see
-``benchmarks.draping.workload``. ``--sewn``: crossings at the end of sewing, before gravity. ``--beside cpu``: the
-distance between the drapes of two devices, a noise floor for models that predict drapes. ``--peer newton`` also drapes
-the same meshes with Newton's ``SolverStyle3D``, configured as described in ``benchmarks.peers.newton``.
+``grade_clean``: the share that also has no panel stretched too far, see ``generator.quality``. ``--reference-designs``:
+designs drawn and selected like GarmentCode's, each on the given body, see ``benchmarks.draping.workload``. ``--beside
+cpu``: the distance between the drapes of two devices, a noise floor for models that predict drapes. ``--peer newton``
+also drapes the same meshes with Newton's ``SolverStyle3D``, configured as described in ``benchmarks.peers.newton``.
 """
 
 import argparse
@@ -33,14 +29,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import CaseResult, Figure, jpeg_file
-from benchmarks.draping.modes import (
-    compare_devices,
-    gpu_peak_mb,
-    measure_ablation,
-    measure_memory,
-    measure_sewn,
-    write_failures,
-)
+from benchmarks.draping.modes import compare_devices, gpu_peak_mb, write_failures
 from benchmarks.draping.workload import Worn, quality, reference_sampled, sampled
 from benchmarks.peers.compare import compare_solvers
 from benchmarks.peers.newton import require_newton
@@ -71,10 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--reference-designs", action="store_true", help="draw the sampled designs like GarmentCode's, for --body alone"
     )
     mode = parser.add_mutually_exclusive_group()
-    mode.add_argument("--ablation", action="store_true", help="drape once per feature, with that feature switched")
-    mode.add_argument("--memory", type=int, default=0, metavar="N", help="N drapes of the sampled garments, in turn")
     mode.add_argument("--beside", metavar="DEVICE", help="drape the sampled garments on this device too")
-    mode.add_argument("--sewn", action="store_true", help="count crossings at the end of sewing, before gravity")
     mode.add_argument("--peer", choices=["newton"], help="drape the same meshes with this solver too")
     parser.add_argument("--batches", nargs="+", type=int, default=[1, 16, 64], help="batch sizes for --peer")
     parser.add_argument("--body", default="neutral", help="as for gcd drape")
@@ -96,8 +82,8 @@ def run(options: argparse.Namespace) -> CaseResult:
         require_newton()
     if options.count:
         return _run_sampled(options)
-    if options.ablation or options.memory or options.beside or options.sewn:
-        raise ConfigError("--ablation, --memory, --beside and --sewn need sampled garments: give --count N alone")
+    if options.beside:
+        raise ConfigError("--beside needs sampled garments: give --count N alone")
     bodies = {apart: _body(options, apart) for apart in (False, True)}
     read = list(read_patterns(options.spec))
     if options.peer:
@@ -169,14 +155,8 @@ def _run_sampled(options: argparse.Namespace) -> CaseResult:
     worn = _sampled(options)
     device = resolve_device(options.device)
     drape_batch([worn[0].job], DrapeConfig(max_frames=1), device=device)
-    if options.ablation:
-        return measure_ablation(worn, device=device, batch=options.batch)
-    if options.memory:
-        return measure_memory(worn, options.memory, device=device, batch=options.batch)
     if options.beside:
         return compare_devices(worn, device, resolve_device(options.beside), batch=options.batch)
-    if options.sewn:
-        return measure_sewn(worn, device=device, batch=options.batch)
     if options.peer:
         return compare_solvers([one.job for one in worn], options.batches, device=device)
     start = time.perf_counter()

@@ -40,11 +40,6 @@ class Worn:
     bottom: str
     job: DrapeJob
 
-    @property
-    def neutral(self) -> bool:
-        """Whether the wearer is the neutral body."""
-        return self.body_name == "neutral"
-
 
 def sampled(seed: int, designs: int, *, resolution: float, workers: int = 1) -> list[Worn]:
     """Sample ``designs`` designs, each meshed at ``resolution`` [cm] for two wearers, in ``workers`` processes."""

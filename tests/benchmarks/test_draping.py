@@ -1,7 +1,7 @@
-"""The drape benchmark: variants, figures, pictures of failures."""
+"""The drape benchmark: figures, pictures of failures."""
 
 import argparse
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ import pytest
 from benchmarks import run
 from benchmarks.cases import parity
 from benchmarks.cases.parity import compare
-from benchmarks.draping.modes import measure_memory, measure_sewn, variants, write_failures
+from benchmarks.draping.modes import write_failures
 from benchmarks.draping.workload import Worn, pass_paper, quality
 from benchmarks.peers.newton import unmirrored
 from gcd_dataset.curves import Quadratic
@@ -19,7 +19,7 @@ from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.records import Drape, EdgeRef, Outcome, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import write_pattern
 from tests.generator.dressing import test_dressing as openings
-from tests.helpers import SIZE, far_ball, joined, napkins, patch
+from tests.helpers import SIZE, far_ball, napkins, patch
 
 
 def drape(outcome: Outcome, *, crossings: int = 0) -> Drape:
@@ -28,35 +28,6 @@ def drape(outcome: Outcome, *, crossings: int = 0) -> Drape:
 
 def worn(index: int) -> Worn:
     return Worn(index, "neutral", "Shirt", "", "", DrapeJob(patch(4, 4), far_ball(), SIZE))
-
-
-def test_crossings_after_sewing_are_those_of_crossing_sheets_only() -> None:
-    """One sheet crosses nothing; of two sheets that cross at right angles, edges still cross when sewing ends."""
-    flat = patch(9, 9, place=np.eye(3)[:, :2], origin=(0.0, 100.0, 4.5))
-    upright = patch(9, 9, place=np.eye(3)[:, [1, 2]], origin=(4.5, 100.1, 0.03))
-    crossing = replace(worn(1), job=DrapeJob(joined(flat, upright), far_ball(), SIZE))
-    measured = measure_sewn([replace(worn(0), job=DrapeJob(flat, far_ball(), SIZE)), crossing], device="cpu", batch=2)
-    figures = {figure.metric: figure.value for figure in measured.figures}
-    assert figures["sewn_clean"] == 0.5
-    assert figures["sewn_body_p99"] == figures["sewn_through_p99"] == 0
-    [row] = measured.rows
-    assert row["index"] == 1 and row["self"] > 0
-
-
-def test_each_switch_is_varied_alone_in_one_variant() -> None:
-    switches = {entry.name for entry in fields(DrapeConfig) if isinstance(entry.default, bool)}
-    alone = [name for variant in variants() if len(variant.switched) == 1 for name in variant.switched]
-    numbers = {"untangling_steps", "most_drapes"}  # 0 steps switch untangling off, 1 drape the repetition
-    assert sorted(alone) == sorted([*switches, *numbers])
-    for variant in variants():
-        changed = {name for name in switches if getattr(variant.config(), name) != getattr(DrapeConfig(), name)}
-        assert changed == set(variant.switched) - numbers
-
-
-def test_layer_friction_is_switched_in_the_fabric() -> None:
-    [slippery] = [variant for variant in variants() if not variant.layers_rub]
-    job = slippery.job(worn(0).job)
-    assert job.fabric == replace(worn(0).job.fabric, layer_friction=0.0)
 
 
 def test_the_papers_checks_ignore_stretch() -> None:
@@ -77,11 +48,6 @@ def test_shares_and_percentiles() -> None:
     assert figures["passed"] == pytest.approx(1 / 3)
     assert figures["passed_paper"] == pytest.approx(2 / 3)
     assert [figures["self_p50"], figures["self_p80"], figures["body_p95"]] == pytest.approx([0.0, 240.0, 0.0])
-
-
-def test_memory_needs_more_drapes_than_the_warm_up() -> None:
-    with pytest.raises(ConfigError, match="99 drapes: give 100 or more"):
-        measure_memory([worn(0)], 99, device="cpu", batch=1)
 
 
 def test_each_failure_has_its_picture(tmp_path: Path) -> None:
