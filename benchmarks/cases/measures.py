@@ -1,26 +1,22 @@
-"""Measures with landmarks found on the mesh: against published ones, against landmarks known by vertex, and on damage.
+"""Measures with landmarks found on the mesh: against published ones, and against landmarks known by vertex.
 
 ``published``: share of the 26 measures of the published mean bodies within 0.5 cm (heights and girths), 1.5 cm or 3°
 (measures that depend on landmarks); one row of the table per measure, with the cause of the difference. ``own``: the
 same share on drawn bodies, landmarks found against landmarks known by vertex. ``speed``: CPU-milliseconds for all
-measures of a drawn body. ``broken``: outcomes for damaged files (``benchmarks/broken_bodies.py``); ``wrong`` counts
-files that were measured wrongly without a remark.
+measures of a drawn body.
 """
 
 import argparse
-import tempfile
 import time
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.broken_bodies import KINDS, broken_body
 from benchmarks.cases import CaseResult, Figure
 from gcd_dataset.bodyfiles import read_measurements
-from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import build_body, draw_shape, measure
 from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.generator.body.tailor import model_sites, take_measures
@@ -29,9 +25,6 @@ from gcd_dataset.seeding import Stage, rng
 
 GIRTHS_AND_HEIGHTS = ("height", "bust", "underbust", "waist", "hips", "leg_circ", "wrist")
 CLOSE, NEAR, DEGREES = 0.5, 1.5, 3.0  # tolerances: heights and girths [cm], other lengths [cm], angles [degrees]
-STATED = "doubtful"  # first word of a remark on a doubtful measure
-LOOSE = {"fused": 2.5}
-"""Kind of damage to a factor on the tolerances: fused surfaces have bumps of millimetres under the tape."""
 SPEED_BODIES = 100
 
 LEVEL = "height at which it is measured"
@@ -68,7 +61,6 @@ CAUSES = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, help="folder with bodies NAME.obj and their measures NAME.yaml")
     parser.add_argument("--own", type=int, default=10, help="drawn bodies (default: 10)")
-    parser.add_argument("--broken", type=int, default=len(KINDS), help="damaged files (default: one of each kind)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the drawn bodies (default: 0)")
 
 
@@ -79,12 +71,10 @@ def run(options: argparse.Namespace) -> CaseResult:
         raise ConfigError(f"{options.folder}: no body NAME.obj with its measures NAME.yaml in it")
     differences = {name: _published_differences(options.folder / name) for name in names}
     own = [_own_differences(options.seed, index) for index in range(options.own)]
-    broken = Counter(_outcome(options.seed, index) for index in range(options.broken))
     figures = [
         Figure("published", float(np.mean([_within(one) for one in differences.values()])), "of measures"),
         Figure("own", float(np.mean([_within(one) for one in own])) if own else np.nan, "of measures"),
         Figure("speed", _speed(options.seed), "CPU-ms"),
-        *(Figure(f"broken_{outcome}", broken[outcome], "files") for outcome in ("right", "stated", "error", "wrong")),
     ]
     return CaseResult(figures, [_row(key, differences, own) for key in MEASURES])
 
@@ -129,23 +119,3 @@ def _speed(seed: int) -> float:
     for vertices in bodies:
         take_measures(vertices, model_sites())
     return 1000 * (time.process_time() - start) / SPEED_BODIES
-
-
-def _outcome(seed: int, index: int) -> str:
-    """Outcome of a damaged file: ``right``, ``stated`` (measured, with a remark of doubt), ``error`` or ``wrong``."""
-    kind = list(KINDS)[index % len(KINDS)]
-    made = broken_body(kind, rng(seed, index, Stage.BODY, 1))
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            found, remarks = measure_file(made.write(Path(folder)))
-        except GcdError as error:
-            print(f"{kind}: {str(error).replace(folder, '')}")
-            return "error"
-    differences = {} if made.truth is None else _differences(found.measurements, made.truth)
-    limits = {key: LOOSE.get(kind, 1.0) * tolerance(key) for key in differences}
-    far = {key: round(difference, 2) for key, difference in differences.items() if abs(difference) > limits[key]}
-    stated = any(remark.startswith(STATED) for remark in remarks) or set(far) == {"leg_circ"} <= found.at_border.keys()
-    if made.truth is not None and not far:
-        return "right"
-    print(f"{kind} {index}: {far or 'measured, although no truth is known'}{' (stated)' if stated else ''}")
-    return "stated" if stated else "wrong"

@@ -7,10 +7,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from benchmarks.broken_bodies import obj_bytes
 from benchmarks.draping.workload import Worn, kind_of
 from benchmarks.stand_ins import coarser
 from gcd_dataset.errors import BodyError
@@ -119,7 +119,7 @@ def _scan(damage: Callable[[Body], Body]) -> OtherBody:
         scanned = []
         for legs_apart in (False, True):
             damaged = damage(build_body(replace(woman, legs_apart=legs_apart)))
-            path.write_bytes(obj_bytes(damaged.vertices, damaged.faces))
+            trimesh.Trimesh(damaged.vertices, damaged.faces, process=False).export(path)
             scanned.append(read_body(path))
     (usual, size), (apart, _) = scanned
     return OtherBody(usual, apart, size)

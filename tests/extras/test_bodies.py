@@ -9,7 +9,6 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from benchmarks.broken_bodies import broken_body
 from benchmarks.cases.measures import tolerance
 from benchmarks.stand_ins import SMPL_VERTICES, SMPLX_VERTICES, coarser, like_smpl, like_smplx
 from gcd_dataset.cli.garment import measured_text
@@ -28,6 +27,7 @@ from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.generator.drape.body_field import body_field
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape
 from gcd_dataset.seeding import Stage, rng
+from tests.generator.body.broken_bodies import broken_body
 from tests.generator.body.test_find import (
     SAME,
     SLOW_ERRORS,
@@ -66,7 +66,7 @@ def test_a_body_like_smpls(tmp_path: Path) -> None:
 
 
 def test_a_widened_body_is_measured_or_reported_as_doubtful(tmp_path: Path) -> None:
-    """Seed 0, number 156 of the benchmark's broken bodies: 38 % wider, its underbust 0.6 cm off."""
+    """A body of seed 0, 38 % wider, its underbust 0.6 cm off."""
     made = broken_body("squashed", rng(0, 156, Stage.BODY, 1))
     assert made.truth is not None
     result, remarks = measure_file(made.write(tmp_path))

@@ -12,7 +12,6 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from benchmarks.broken_bodies import broken_body
 from benchmarks.cases.measures import tolerance
 from benchmarks.skin import skin_crossings
 from gcd_dataset.cli import main
@@ -32,6 +31,7 @@ from gcd_dataset.generator.body.register import unit_of
 from gcd_dataset.generator.body.shape import T_POSE
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
+from tests.generator.body.broken_bodies import broken_body
 
 SAME = 0.2  # cm, degrees; tolerance for another triangulation of the same skin
 

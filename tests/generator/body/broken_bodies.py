@@ -46,19 +46,13 @@ def broken_body(kind: str, rng: np.random.Generator) -> BrokenBody:
     # With faces in another order the mesh is not recognised as ours, so landmarks must be found.
     body = replace(body, faces=np.roll(body.faces, 1, axis=0))
     (vertices, faces), true_body = KINDS[kind](body, rng)
-    content = obj_bytes(vertices, faces)
-    if kind == "truncated file":
-        content = content[: int(rng.uniform(0.0, 0.95) * len(content))]
-    if kind == "empty file":
-        content = b""
+    content = (
+        b""
+        if kind == "empty file"
+        else trimesh.Trimesh(vertices, faces, process=False).export(file_type="obj").encode()
+    )
     truth = None if true_body is None else measure(replace(true_body, faces=np.roll(true_body.faces, -1, axis=0)))
     return BrokenBody(kind, content, truth)
-
-
-def obj_bytes(vertices: np.ndarray, faces: np.ndarray) -> bytes:
-    """Encode a mesh as an OBJ file; row numbers in ``faces`` start at 0."""
-    lines = ["v %.9g %.9g %.9g" % tuple(v) for v in vertices] + ["f %d %d %d" % tuple(f) for f in faces + 1]  # noqa: UP031
-    return ("\n".join(lines) + "\n").encode()
 
 
 # ---------------------------------------------------------------------------------------------------------------- skin
@@ -69,50 +63,18 @@ def _without_faces(body: Body, gone: np.ndarray) -> _Mesh:
     return body.vertices, body.faces[~gone[body.faces].any(axis=1)]
 
 
-def _hole(low: float, high: float) -> _Damage:
-    def hole(body: Body, rng: np.random.Generator) -> _Mesh:
-        middle = body.vertices[rng.integers(len(body.vertices))]
-        return _without_faces(body, np.linalg.norm(body.vertices - middle, axis=1) < rng.uniform(low, high))
-
-    return _changed(hole)
-
-
 def _some_flipped(body: Body, rng: np.random.Generator) -> _Mesh:
     flipped = rng.random(len(body.faces)) < rng.uniform(0.01, 0.5)
     return body.vertices, np.where(flipped[:, None], body.faces[:, ::-1], body.faces)
 
 
-def _renumbered(body: Body, rng: np.random.Generator) -> _Mesh:
-    order = rng.permutation(len(body.vertices))
-    return body.vertices[order], np.argsort(order)[body.faces]
-
-
-def _not_finite(value: float) -> _Damage:
-    def damage(body: Body, rng: np.random.Generator) -> _Mesh:
-        vertices = body.vertices.copy()
-        vertices[rng.integers(len(vertices), size=rng.integers(1, 50))] = value
-        return vertices, body.faces
-
-    return _changed(damage, known=False)
-
-
-def _out_of_range(body: Body, rng: np.random.Generator) -> _Mesh:
-    faces = body.faces.copy()
-    faces[rng.integers(len(faces))] = len(body.vertices) + 7
-    return body.vertices, faces
-
-
-def _spike(body: Body, rng: np.random.Generator) -> _Mesh:
+def _not_a_number(body: Body, rng: np.random.Generator) -> _Mesh:
     vertices = body.vertices.copy()
-    vertices[rng.integers(len(vertices))] += rng.uniform(30, 200) * rng.choice([-1, 1]) * np.eye(3)[rng.integers(3)]
+    vertices[rng.integers(len(vertices), size=rng.integers(1, 50))] = np.nan
     return vertices, body.faces
 
 
 # ----------------------------------------------------------------------------------------------------- units and turns
-
-
-def _scaled(factor: float, *, known: bool = True) -> _Damage:
-    return _changed(lambda body, rng: (body.vertices * factor, body.faces), known=known)
 
 
 def _turned(*degrees: float) -> _Damage:
@@ -143,21 +105,10 @@ def _mesh_of(shape: trimesh.Trimesh) -> _Mesh:
     return np.asarray(shape.vertices, float), np.asarray(shape.faces, int)
 
 
-def _two_bodies(body: Body, rng: np.random.Generator) -> _Mesh:
-    beside = body.vertices + [rng.choice([-1, 1]) * rng.uniform(20, 90), 0.0, rng.uniform(-20, 20)]
-    return _joined((body.vertices, body.faces), (beside, body.faces))
-
-
 def _floor(body: Body, rng: np.random.Generator) -> _Mesh:
     floor = trimesh.creation.box((rng.uniform(60, 200), 2.0, rng.uniform(60, 200)))
     floor.apply_translation([0.0, -1.0, 0.0])
     return _joined((body.vertices, body.faces), _mesh_of(floor))
-
-
-def _scrap(body: Body, rng: np.random.Generator) -> _Mesh:
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=rng.uniform(0.5, 12.0))
-    ball.apply_translation(rng.uniform([-60, 5, -40], [60, 190, 40]))
-    return _joined((body.vertices, body.faces), _mesh_of(ball))
 
 
 def _without(*parts: BodyPart) -> _Damage:
@@ -165,24 +116,9 @@ def _without(*parts: BodyPart) -> _Damage:
     return _changed(lambda body, rng: _without_faces(body, np.isin(body.parts, values)))
 
 
-def _upper_half(body: Body, rng: np.random.Generator) -> _Mesh:
-    height = body.vertices[:, 1]
-    return _without_faces(body, height < rng.uniform(0.2, 0.6) * np.ptp(height))
-
-
 def _twelve_vertices(body: Body, rng: np.random.Generator) -> _Mesh:
     vertices, faces = _mesh_of(trimesh.creation.icosahedron())
     return vertices * [20.0, 85.0, 12.0], faces
-
-
-def _no_body(body: Body, rng: np.random.Generator) -> _Mesh:
-    shapes = (
-        trimesh.creation.icosphere(subdivisions=4, radius=85.0),
-        trimesh.creation.box((50.0, 170.0, 30.0)).subdivide().subdivide().subdivide().subdivide(),
-        trimesh.creation.cylinder(20.0, 170.0, sections=1000),
-        trimesh.creation.torus(60.0, 20.0),
-    )
-    return _mesh_of(shapes[rng.integers(len(shapes))])
 
 
 # ------------------------------------------------------------------------------------------------------ grown together
@@ -201,7 +137,7 @@ def fused_by_scanner(body: Body, cell: float) -> _Mesh:
     low = body.vertices.min(axis=0) - 2 * cell
     shape = np.ceil((body.vertices.max(axis=0) + 2 * cell - low) / cell).astype(int)
     solid = _filled(body, low, shape, cell)
-    quads, corners = [], np.full(tuple(shape + 1), -1)
+    quads = []
     for axis in range(3):
         beyond = np.roll(solid, -1, axis=axis)
         for inside, flip in ((solid & ~beyond, False), (~solid & beyond, True)):
@@ -258,50 +194,16 @@ def _filled(body: Body, low: np.ndarray, shape: np.ndarray, cell: float) -> np.n
 
 
 KINDS: Mapping[str, _Damage] = {
-    "whole": _changed(lambda body, rng: (body.vertices, body.faces)),
     "pinholes": _changed(lambda body, rng: (body.vertices, body.faces[rng.random(len(body.faces)) > 0.01])),
-    "small hole": _hole(1.0, 3.0),
-    "large hole": _hole(4.0, 15.0),
     "some faces flipped": _changed(_some_flipped),
-    "faces inward": _changed(lambda body, rng: (body.vertices, body.faces[:, ::-1])),
-    "unwelded": _changed(
-        lambda body, rng: (body.vertices[body.faces].reshape(-1, 3), np.arange(body.faces.size).reshape(-1, 3))
-    ),
-    "renumbered": _changed(_renumbered),
-    "noisy": _changed(lambda body, rng: (body.vertices + rng.normal(0.0, 0.05, body.vertices.shape), body.faces)),
-    "not a number": _not_finite(np.nan),
-    "infinite": _not_finite(np.inf),
-    "face out of range": _changed(_out_of_range, known=False),
+    "not a number": _changed(_not_a_number, known=False),
     "collapsed": _changed(lambda body, rng: (body.vertices * [0.0, 1.0, 0.0], body.faces), known=False),
-    "spike": _changed(_spike),
-    "metres": _scaled(0.01),
-    "millimetres": _scaled(10.0),
-    "inches": _scaled(1 / 2.54, known=False),
-    "kilometres": _scaled(1e-5, known=False),
-    "on its back": _turned(-90, 0, 0),
-    "on its face": _turned(90, 0, 0),
-    "on its side": _turned(0, 0, 90),
-    "upside down": _turned(0, 0, 180),
     "facing away": _turned(0, 180, 0),
-    "facing aside": _turned(0, 90, 0),
-    "skewed": lambda body, rng: _turned(*rng.uniform(-25, 25, size=3))(body, rng),
-    "moved": _changed(lambda body, rng: (body.vertices + rng.uniform(-500, 500, size=3), body.faces)),
-    "larger": _stretched(lambda rng: rng.choice([0.6, 0.8, 1.1, 1.4])),
     "squashed": _stretched(lambda rng: np.exp(rng.uniform(-0.5, 0.5, size=3))),
-    "two bodies": _changed(_two_bodies),
     "on a floor": _changed(_floor),
-    "with a scrap": _changed(_scrap),
-    "no head": _without(BodyPart.HEAD, BodyPart.INTERNAL),
-    "no arm": _without(BodyPart.RIGHT_ARM),
-    "no leg": _without(BodyPart.LEFT_LEG),
     "no hands": _without(BodyPart.HANDS),
-    "no feet": _without(BodyPart.FEET),
-    "upper half": _changed(_upper_half),
     "twelve vertices": _changed(_twelve_vertices, known=False),
-    "no body": _changed(_no_body, known=False),
     "arms grown to the trunk": _changed(_arms_down, known=False),
-    "fused": _changed(lambda body, rng: fused_by_scanner(body, rng.uniform(0.6, 0.8))),
     "empty file": _changed(lambda body, rng: (body.vertices, body.faces)),
-    "truncated file": _hole(0.0, 0.0),
 }
 """Kind of damage to the function that applies it."""
