@@ -11,8 +11,8 @@ import trimesh
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from benchmarks.draping.coarser import coarser
 from benchmarks.draping.workload import Worn, kind_of
-from benchmarks.stand_ins import coarser
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, named_body, neutral_shape, read_body
 from gcd_dataset.generator.body.asset import body_model

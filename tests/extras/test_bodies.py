@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from benchmarks.cases.measures import tolerance
-from benchmarks.stand_ins import SMPL_VERTICES, SMPLX_VERTICES, coarser, like_smpl, like_smplx
+from benchmarks.draping.coarser import coarser
 from gcd_dataset.cli.garment import measured_text
 from gcd_dataset.generator.body import (
     build_body,
@@ -24,6 +24,8 @@ from gcd_dataset.generator.body import (
 )
 from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
+from gcd_dataset.generator.body.repair import VisibleSkin
+from gcd_dataset.generator.body.shape import T_POSE
 from gcd_dataset.generator.drape.body_field import body_field
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape
 from gcd_dataset.seeding import Stage, rng
@@ -49,9 +51,46 @@ from tests.generator.drape.test_contact import check_closed_to_cloth
 
 SURE_ANYWHERE = ("height", "bust", "waist", "hips", "leg_circ", "wrist", "head_l")
 """Heights, and girths at searched levels: always accurate, even where a remark states a doubt."""
-
-
 HARMLESS = ("some faces flipped", "facing away", "on a floor")
+SMPL_VERTICES = 6890
+SMPLX_VERTICES = 10475
+EYE = 642  # vertices of an eyeball; SMPL-X has 546
+PELVIS = 0.53  # height of the pelvis over the height of the body
+
+_Mesh = tuple[np.ndarray, np.ndarray]  # vertices, faces
+
+
+# SMPL (closed mouth, origin at the pelvis) and SMPL-X (open mouth, two separate eyeballs) may not be redistributed.
+
+
+def like_smpl(shape: BodyShape) -> _Mesh:
+    """A body in SMPL's form [m]: one closed skin, y up, facing +z, origin at the pelvis."""
+    body = build_body(replace(shape, arm_angle=T_POSE))
+    skin = VisibleSkin.of(body.faces, body.parts)
+    return _from_pelvis(coarser(skin.points(body.vertices), skin.faces, SMPL_VERTICES))
+
+
+def like_smplx(shape: BodyShape) -> _Mesh:
+    """A body in SMPL-X's form [m]: the mouth open to a cavity, eyeballs as separate components."""
+    body = build_body(replace(shape, arm_angle=T_POSE))
+    sockets = (body.parts == BodyPart.INTERNAL.value) & (body.vertices[:, 1] > 0.92 * body.vertices[:, 1].max())
+    parts = np.where(sockets, BodyPart.INTERNAL.value, BodyPart.HEAD.value).astype(np.uint8)
+    seen = VisibleSkin.of(body.faces, parts)
+    skin = coarser(seen.points(body.vertices), seen.faces, SMPLX_VERTICES - 2 * EYE)
+    eyes = [_eye(body.vertices[sockets & (side * body.vertices[:, 0] > 0)]) for side in (1, -1)]
+    both = trimesh.util.concatenate([trimesh.Trimesh(*skin, process=False), *eyes])
+    return _from_pelvis((np.asarray(both.vertices), np.asarray(both.faces)))
+
+
+def _eye(socket: np.ndarray) -> trimesh.Trimesh:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=1.2)
+    ball.apply_translation(socket.mean(axis=0))
+    return ball
+
+
+def _from_pelvis(mesh: _Mesh) -> _Mesh:
+    vertices, faces = mesh
+    return (vertices - [0.0, PELVIS * vertices[:, 1].max(), 0.0]) / 100.0, faces
 
 
 def test_a_body_like_smpls(tmp_path: Path) -> None:

@@ -1,59 +1,14 @@
-"""Stand-ins for other body models: our bodies with their vertex count, pose, origin, axes, unit, eyes and mouth.
-
-SMPL (6,890 vertices, closed mouth, T-pose, metres, origin at the pelvis) and SMPL-X (10,475 vertices, open mouth, two
-separate eyeballs) may not be redistributed; the stand-ins have the properties that make them hard to measure.
-"""
-
-from dataclasses import replace
+"""Meshes of fewer vertices, as scans have them."""
 
 import numpy as np
-import trimesh
 from scipy.sparse import csr_matrix
 
-from gcd_dataset.generator.body import build_body
-from gcd_dataset.generator.body.repair import VisibleSkin
-from gcd_dataset.generator.body.shape import T_POSE
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.records import BodyPart, BodyShape
 
-SMPL_VERTICES = 6890
-SMPLX_VERTICES = 10475
-EYE = 642  # vertices of an eyeball; SMPL-X has 546
 BIN = 0.25  # cm: edges within a bin collapse in random order, so that many collapse per round
-PELVIS = 0.53  # height of the pelvis over the height of the body
 
 _Mesh = tuple[np.ndarray, np.ndarray]  # vertices, faces
-
-
-def like_smpl(shape: BodyShape, *, arm: float = T_POSE) -> _Mesh:
-    """A body in SMPL's form [m]: one closed skin, y up, facing +z, origin at the pelvis."""
-    body = build_body(replace(shape, arm_angle=arm))
-    skin = VisibleSkin.of(body.faces, body.parts)
-    return _from_pelvis(coarser(skin.points(body.vertices), skin.faces, SMPL_VERTICES))
-
-
-def like_smplx(shape: BodyShape, *, arm: float = T_POSE) -> _Mesh:
-    """A body in SMPL-X's form [m]: the mouth open to a cavity, eyeballs as separate components."""
-    body = build_body(replace(shape, arm_angle=arm))
-    sockets = (body.parts == BodyPart.INTERNAL.value) & (body.vertices[:, 1] > 0.92 * body.vertices[:, 1].max())
-    parts = np.where(sockets, BodyPart.INTERNAL.value, BodyPart.HEAD.value).astype(np.uint8)
-    seen = VisibleSkin.of(body.faces, parts)
-    skin = coarser(seen.points(body.vertices), seen.faces, SMPLX_VERTICES - 2 * EYE)
-    eyes = [_eye(body.vertices[sockets & (side * body.vertices[:, 0] > 0)]) for side in (1, -1)]
-    both = trimesh.util.concatenate([trimesh.Trimesh(*skin, process=False), *eyes])
-    return _from_pelvis((np.asarray(both.vertices), np.asarray(both.faces)))
-
-
-def _eye(socket: np.ndarray) -> trimesh.Trimesh:
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=1.2)
-    ball.apply_translation(socket.mean(axis=0))
-    return ball
-
-
-def _from_pelvis(mesh: _Mesh) -> _Mesh:
-    vertices, faces = mesh
-    return (vertices - [0.0, PELVIS * vertices[:, 1].max(), 0.0]) / 100.0, faces
 
 
 def coarser(vertices: np.ndarray, faces: np.ndarray, count: int) -> _Mesh:
