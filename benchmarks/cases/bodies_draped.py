@@ -2,13 +2,11 @@
 
     python -m benchmarks.run bodies_draped --count 100 --workers 12 --batch 128 --device cuda:0
 
-Poses of our own body (arms up and down by 40 degrees, T-pose, arms forward, legs wide), scans of a woman (3,000
-vertices; with holes), an ``anny`` body with its arms forward (needs the extra ``bake``), and GarmentCode's mean bodies
-(needs ``--examples``): see ``benchmarks.draping.other_bodies``. If a body cannot be built, a line gives the reason and
-the body is left out. Each garment is sampled for the measures of its wearer: those taken in the A-pose, with the arm
-angle of the actual pose. Sleeves that point away from the arms are turned to them, as ``gcd drape`` does. With its arms
-40 degrees down the body passes through itself in the armpits ("body through itself" counts the edges); with 25 degrees
-it does not.
+Poses of our own body (arms up and down by 40 degrees, T-pose, arms forward, legs wide), and scans of a woman (3,000
+vertices; with holes): see ``benchmarks.draping.other_bodies``. Each garment is sampled for the measures of its wearer:
+those taken in the A-pose, with the arm angle of the actual pose. Sleeves that point away from the arms are turned to
+them, as ``gcd drape`` does. With its arms 40 degrees down the body passes through itself in the armpits ("body through
+itself" counts the edges); with 25 degrees it does not.
 ``neutral``, ``female`` and ``male`` are the usual wearers, to compare with.
 """
 
@@ -16,7 +14,7 @@ import argparse
 import sys
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,7 +23,7 @@ import numpy as np
 
 from benchmarks.cases import CaseResult, Figure
 from benchmarks.draping.modes import write_failures
-from benchmarks.draping.other_bodies import OTHER_BODIES, OtherBody, dressed, other_body
+from benchmarks.draping.other_bodies import OTHER_BODIES, dressed
 from benchmarks.draping.workload import Worn, is_clean
 from benchmarks.skin import skin_crossings
 from gcd_dataset.errors import ConfigError
@@ -37,7 +35,6 @@ from gcd_dataset.generator.render import render_garment
 from gcd_dataset.records import Body, Drape, Outcome
 from gcd_dataset.workers import parallel_map
 
-EXAMPLES = Path("GarmentCode/assets/bodies")
 TILE = 320  # side of a garment's picture on a sheet [pixels]
 SHOWN = 16  # most garments on the sheet of a body
 
@@ -46,12 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=100, help="garments for each body")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--bodies", nargs="+", choices=[*OTHER_BODIES], default=[*OTHER_BODIES], help="default: all")
-    parser.add_argument(
-        "--examples",
-        type=Path,
-        default=EXAMPLES,
-        help="folder of GarmentCode's mean bodies (default: %(default)s); without it they are left out",
-    )
     parser.add_argument("--workers", type=int, default=1, help="processes that make patterns and meshes")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--resolution", type=float, default=1.0, help="[cm]")
@@ -61,15 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> CaseResult:
-    """Drape ``count`` garments on each body. Raises ``ConfigError`` if no body can be built."""
+    """Drape ``count`` garments on each body. Raises ``ConfigError`` for a count below 1, or without a design."""
     if options.count < 1:
         raise ConfigError(f"count is {options.count}: give 1 or more")
-    wearers = _wearers(options)
     device = resolve_device(options.device)
     figures: list[Figure] = []
     rows: list[dict[str, Any]] = []
-    for name, wearer in wearers.items():
-        make = partial(dressed, wearer, name, options.seed, options.resolution)
+    for name in dict.fromkeys(options.bodies):
+        make = partial(dressed, OTHER_BODIES[name](), name, options.seed, options.resolution)
         worn = [one for one in parallel_map(make, range(options.count), options.workers) if one is not None]
         if not worn:
             raise ConfigError(f"{name}: none of {options.count} designs was accepted: raise --count")
@@ -79,18 +69,6 @@ def run(options: argparse.Namespace) -> CaseResult:
         print(f"benchmarks.run bodies_draped: {rows[-1]}", file=sys.stderr, flush=True)
         figures += _figures(name, drapes, seconds)
     return CaseResult(figures, rows)
-
-
-def _wearers(options: argparse.Namespace) -> Mapping[str, OtherBody]:
-    """The bodies by name; prints a line for each that is left out."""
-    found = {name: other_body(name, options.examples) for name in dict.fromkeys(options.bodies)}
-    for name, reason in found.items():
-        if isinstance(reason, str):
-            print(f"benchmarks.run bodies_draped: {name}: {reason}", file=sys.stderr)
-    wearers = {name: wearer for name, wearer in found.items() if isinstance(wearer, OtherBody)}
-    if not wearers:
-        raise ConfigError("no body is left: name one of our own, such as --bodies t_pose, or give --examples")
-    return wearers
 
 
 def _draped(worn: Sequence[Worn], device: str, batch: int, *, warm: bool) -> tuple[list[Drape], float]:

@@ -1,4 +1,4 @@
-"""Bodies outside the sampled population: other poses, GarmentCode's mean bodies, ``anny`` and damaged scans."""
+"""Bodies outside the sampled population: other poses, and scans with damaged skin."""
 
 import tempfile
 from collections.abc import Callable, Mapping
@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.draping.coarser import coarser
 from benchmarks.draping.workload import Worn, kind_of
-from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, named_body, neutral_shape, read_body
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.repair import VisibleSkin
@@ -26,8 +25,6 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
 from gcd_dataset.records import Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
-from tools.body_model.anny_bodies import AnnyBodies
-from tools.body_model.bake import AVERAGE
 
 ATTEMPTS = 30  # designs tried for one garment
 ARM_TURN = np.radians(40.0)  # raising or lowering of the arms from the A-pose
@@ -143,33 +140,6 @@ def with_holes(body: Body) -> Body:
     return replace(body, faces=np.roll(body.faces[~gone[body.faces].any(axis=1)], 1, axis=0))
 
 
-# -------------------------------------------------------------------------------------------------------- GarmentCode's
-
-
-def _garmentcode(examples: Path, name: str, *, apart: str = "", sizes: str = "") -> OtherBody:
-    """A mean body of GarmentCode; ``sizes``: the A-pose body with its measures, all but the arm angle."""
-    segmentation = examples / "ggg_body_segmentation.json"
-    body, size = read_body(examples / f"{name}.obj", examples / f"{sizes or name}.yaml", segmentation)
-    if sizes:
-        posed = read_body(examples / f"{name}.obj", None, segmentation)[1]
-        size = replace(size, arm_pose_angle=posed.arm_pose_angle)
-    return OtherBody(
-        body, read_body(examples / f"{apart}.obj", examples / f"{name}.yaml", segmentation)[0] if apart else body, size
-    )
-
-
-def _anny_forward() -> OtherBody:
-    """The average adult of ``anny`` with its arms held forward, posed by anny itself."""
-    x, y, z = FORWARD  # anny: z up, facing -y
-    forward, usual = (_average_adult(bodies) for bodies in (AnnyBodies(arm=(x, -z, y)), AnnyBodies()))
-    size = replace(measure(usual), arm_pose_angle=measure(forward).arm_pose_angle)
-    return OtherBody(forward, forward, size)
-
-
-def _average_adult(bodies: AnnyBodies) -> Body:
-    return Body(bodies.whole(bodies.halves(AVERAGE[None])[0][0]), bodies.fine_faces, bodies.fine_parts, "anny")
-
-
 # ------------------------------------------------------------------------------------------------------------ garments
 
 
@@ -191,39 +161,17 @@ def dressed(wearer: OtherBody, name: str, seed: int, resolution: float, number: 
     return None
 
 
-# ----------------------------------------------------------------------------------------------------------------- all
-
-
-def other_body(name: str, examples: Path) -> OtherBody | str:
-    """The body ``name`` of ``OTHER_BODIES``, or the reason why it was not built, as a sentence.
-
-    ``examples``: folder of GarmentCode's mean bodies.
-    """
-    try:
-        return OTHER_BODIES[name](examples)
-    except ModuleNotFoundError as error:
-        return f"left out, since {error.name} is not installed: pip install 'gcd-dataset[bake]'"
-    except (BodyError, OSError) as error:
-        return f"left out: {error}"
-
-
-OTHER_BODIES: Mapping[str, Callable[[Path], OtherBody]] = {
-    "neutral": lambda _: _named("neutral"),
-    "female": lambda _: _named("female"),
-    "male": lambda _: _named("male"),
-    "arms_up": lambda _: _posed(ARM_TURN),
-    "arms_down": lambda _: _posed(-ARM_TURN),
-    "arms_down_25": lambda _: _posed(-CLEAR_ARM_TURN),
-    "t_pose": lambda _: _posed(T_POSE),
-    "arms_forward": lambda _: _arms_forward(),
-    "legs_wide": lambda _: _legs_wide(),
-    "scan_3000": lambda _: _scan(decimated),
-    "scan_holes": lambda _: _scan(with_holes),
-    "anny_forward": lambda _: _anny_forward(),
-    "mean_all": partial(_garmentcode, name="mean_all", apart="mean_all_apart"),
-    "mean_female": partial(_garmentcode, name="mean_female"),
-    "mean_male": partial(_garmentcode, name="mean_male"),
-    "mean_all_apart": partial(_garmentcode, name="mean_all_apart", sizes="mean_all"),
-    "mean_all_tpose": partial(_garmentcode, name="mean_all_tpose", sizes="mean_all"),
+OTHER_BODIES: Mapping[str, Callable[[], OtherBody]] = {
+    "neutral": partial(_named, "neutral"),
+    "female": partial(_named, "female"),
+    "male": partial(_named, "male"),
+    "arms_up": partial(_posed, ARM_TURN),
+    "arms_down": partial(_posed, -ARM_TURN),
+    "arms_down_25": partial(_posed, -CLEAR_ARM_TURN),
+    "t_pose": partial(_posed, T_POSE),
+    "arms_forward": _arms_forward,
+    "legs_wide": _legs_wide,
+    "scan_3000": partial(_scan, decimated),
+    "scan_holes": partial(_scan, with_holes),
 }
-"""Name to the function that builds the body, given the folder of GarmentCode's bodies; first the three usual ones."""
+"""Name to the function that builds the body; first the three usual ones."""

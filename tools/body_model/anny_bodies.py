@@ -37,8 +37,7 @@ BATCH = 50  # bodies in one call of anny
 class AnnyBodies:
     """anny bodies by controls (``PHENOTYPES``, then ``LOCAL``); half a body each, since bodies are symmetric."""
 
-    def __init__(self, arm: tuple[float, float, float] = A_POSE_ARM) -> None:
-        """``arm``: direction of the left upper arm, as ``A_POSE_ARM``; the right one is its mirror image."""
+    def __init__(self) -> None:
         import anny
         import torch
 
@@ -47,7 +46,7 @@ class AnnyBodies:
             rig="anny", topology=TOPOLOGY, phenotypes="all", local_changes=list(LOCAL), skinning_method="lbs"
         ).to(dtype=torch.float32)
         self._bones = list(self._model.bone_labels)
-        self._pose = self._pose_with(np.array(arm))
+        self._pose = self._pose_with(np.array(A_POSE_ARM))
         self.faces: Int[np.ndarray, "f 3"] = self._model.faces.numpy().astype(int)
         template = self._model.template_vertices.numpy()
         self.mirror: Int[np.ndarray, " v"] = cKDTree(template).query(template * MIRROR)[1]
