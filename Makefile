@@ -1,4 +1,4 @@
-# make demo         install into .venv, make a few garments on the CPU, load them, leave pictures in demo/
+# make demo         install into .venv, make a few garments on the CPU, leave them and pictures in demo/
 # make test         install into .venv, then lint, types and tests
 # make test-extras  install into .venv-extras, then run the recipes of docs/training.md with their frameworks,
 #                   make garments on a Ray cluster of several nodes, read an S3 store, check a Croissant description,
@@ -32,7 +32,8 @@ SHARED_OUT := --numprocesses logical --maxprocesses 8 --dist worksteal
 .PHONY: demo test test-extras docs fuzz lint
 
 demo: $(INSTALLED)
-	$(BIN)/python -m benchmarks.demo --out demo
+	$(BIN)/gcd generate demo/garments --count 8 --seed 4 --bodies both --device cpu --resolution 2 --picture 384
+	$(BIN)/gcd show demo/garments --index 0-7 --sheet demo/contact_sheet.png
 
 test: $(INSTALLED)
 	$(BIN)/ruff format --check
