@@ -73,7 +73,6 @@ class DrawnBody:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=600, help="bodies")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--plot", type=Path, help="PNG: histograms over the published distributions")
 
 
 def run(options: argparse.Namespace) -> CaseResult:
@@ -85,8 +84,6 @@ def run(options: argparse.Namespace) -> CaseResult:
     values = {MIXED: _values(people, SEXES)} | {sex: _values(people, (sex,)) for sex in SEXES}
     if short := [sex for sex, found in values.items() if len(found) < 2]:
         raise ConfigError(f"count is {options.count}: fewer than two bodies are {short[0]}: give more")
-    if options.plot:
-        _plot({sex: values[sex] for sex in SEXES}, options.plot)
     figures = [*_costs(people), *_pool(people), *_population(values), *_shoulders(people), *_soundness(people)]
     return CaseResult(figures, [row for sex in values for row in _rows(sex, values[sex])])
 
@@ -244,39 +241,3 @@ def _caesar(sex: str) -> dict[str, float]:
     mean = table["neutral" if sex == MIXED else sex]
     same = {name: mean[name] for name in ("height", "bust", "hips", "wrist", "shoulder_w", "arm_length")}
     return same | {"thigh": mean["leg_circ"], "neck": 2.0 * mean["neck_w"]}
-
-
-# ---------------------------------------------------------------------------------------------------------------- plot
-
-COLOURS = {"female": "#b5446e", "male": "#3a6ea5"}
-
-
-def _plot(values: Mapping[str, Float[np.ndarray, "n m"]], path: Path) -> None:
-    """Histograms of drawn bodies over the survey's normal curves; curves with other definitions are shifted."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure as Page
-
-    names = survey_of(SEXES[0]).measures
-    page = Page(figsize=(13, 11), layout="constrained")
-    FigureCanvasAgg(page)
-    for index, (name, axes) in enumerate(zip(names, page.subplots(4, 5).flat, strict=False)):
-        for sex, found in values.items():
-            _plot_one(axes, survey_of(sex), found[:, index], index, sex)
-        axes.set_title(f"{name} [{'kg' if name == 'weight' else 'cm'}]", fontsize=9)
-        axes.set_yticks([])
-        axes.tick_params(labelsize=7)
-    page.axes[len(names)].axis("off")
-    page.axes[0].legend(fontsize=7)
-    page.suptitle(
-        "Drawn bodies (bars) and ANSUR II (curves; dashed: defined otherwise, moved to our mean)", fontsize=11
-    )
-    page.savefig(path, dpi=80)
-
-
-def _plot_one(axes: Any, survey: Survey, found: Float[np.ndarray, " n"], index: int, sex: str) -> None:
-    comparable = bool(np.isfinite(survey.tolerance[index]))
-    mean, sd = (survey.mean[index] if comparable else found.mean()), survey.sd[index]
-    at = np.linspace(mean - 4 * sd, mean + 4 * sd, 120)
-    axes.hist(found, bins=25, density=True, color=COLOURS[sex], alpha=0.35)
-    curve = np.exp(-(((at - mean) / sd) ** 2) / 2) / (sd * np.sqrt(2 * np.pi))
-    axes.plot(at, curve, "-" if comparable else "--", color=COLOURS[sex], lw=1.2, label=sex)

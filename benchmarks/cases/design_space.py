@@ -39,7 +39,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from math import pi, sqrt
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -47,7 +46,6 @@ import numpy as np
 from benchmarks.cases import CaseResult, Figure
 from benchmarks.draping.workload import reference_design, reject_reason
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.garments import (
     DrawnDesign,
@@ -84,7 +82,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=1000, help="accepted designs of our sampler")
     parser.add_argument("--reference-count", type=int, default=1000, help="accepted designs of GarmentCode's")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--plot", type=Path, help="PNG with the distributions of all parameters")
 
 
 def run(options: argparse.Namespace) -> CaseResult:
@@ -96,8 +93,6 @@ def run(options: argparse.Namespace) -> CaseResult:
     reasons: Counter[str] = Counter()
     theirs = _theirs(options.seed, options.reference_count, reasons)
     rows = [_row(leaf, ours, theirs) for leaf in leaves(GarmentDesign)]
-    if options.plot:
-        write_whole(options.plot, _plot(ours, theirs))
     moved = [row["moved"] for row in rows if isinstance(row["moved"], float)]
     distances = [row["distance"] for row in rows if isinstance(row["distance"], float)]
     figures = [
@@ -232,49 +227,6 @@ def _summary(leaf: Leaf, values: Sequence[Any]) -> str:
         return ", ".join(f"{option} {100 * n / len(values):.0f} %" for option, n in counts.most_common(3))
     share = np.mean(np.isclose(values, leaf.space.default))
     return f"mean {np.mean(values):.2f}, default {100 * share:.0f} %"
-
-
-def _plot(ours: Selection, theirs: Selection) -> bytes:
-    """PNG: histograms of all parameters: ours proposed in grey and accepted filled, GarmentCode's as a line."""
-    import io
-
-    from matplotlib.figure import Figure as Page
-
-    drawn = {
-        leaf: [used(values[leaf.path]) for values in (ours.accepted, theirs.accepted, ours.proposed)]
-        for leaf in leaves(GarmentDesign)
-    }
-    shown = {leaf: values for leaf, values in drawn.items() if min(map(len, values)) >= FEWEST}
-    columns = 8
-    page = Page(figsize=(2.6 * columns, 1.5 * -(-len(shown) // columns)), layout="constrained")
-    for number, (leaf, values) in enumerate(shown.items(), 1):
-        axes = page.add_subplot(-(-len(shown) // columns), columns, number)
-        _histogram(axes, leaf, *values)
-    file = io.BytesIO()
-    page.savefig(file, format="png", dpi=80)
-    return file.getvalue()
-
-
-def _histogram(axes: Any, leaf: Leaf, ours: Sequence[Any], theirs: Sequence[Any], proposed: Sequence[Any]) -> None:
-    axes.set_title(leaf.path, fontsize=7)
-    axes.tick_params(labelsize=5)
-    axes.set_yticks([])
-    if isinstance(leaf.space, Choice):
-        options = [str(option) for option in leaf.space.range]
-        shares = [
-            [list(map(str, values)).count(option) / len(values) for option in options]
-            for values in (ours, theirs, proposed)
-        ]
-        axes.bar(range(len(options)), shares[0], color="#7aa6c2")
-        axes.bar(range(len(options)), shares[2], fill=False, edgecolor="#b0b0b0")
-        axes.step(np.arange(-1, len(options) + 1), [0, *shares[1], 0], where="mid", color="black", linewidth=0.8)
-        axes.set_xticks(range(len(options)), [option[:9] for option in options], rotation=40)
-        return
-    low, high = leaf.space.range
-    bins = np.linspace(low, high, 25)
-    axes.hist(ours, bins, density=True, color="#7aa6c2")
-    axes.hist(proposed, bins, density=True, histtype="step", color="#b0b0b0")
-    axes.hist(theirs, bins, density=True, histtype="step", color="black", linewidth=0.8)
 
 
 UNUSED = "unused"
