@@ -85,10 +85,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> CaseResult:
-    """Draw with both samplers and compare. Raises ``ConfigError`` for a count below 1."""
+    """Draw with both samplers and compare. Raises ``ConfigError`` for too few designs to compare."""
     for name in ("count", "reference_count"):
-        if getattr(options, name) < 1:
-            raise ConfigError(f"{name} is {getattr(options, name)}: give 1 or more")
+        if getattr(options, name) < FEWEST:
+            raise ConfigError(f"{name} is {getattr(options, name)}: give {FEWEST} or more")
     ours = _ours(options.seed, options.count)
     reasons: Counter[str] = Counter()
     theirs = _theirs(options.seed, options.reference_count, reasons)
