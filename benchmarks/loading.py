@@ -137,29 +137,6 @@ def write_streaming(folder: Path, fields: Sequence[str]) -> Path:
     return copy
 
 
-def by_ninja(folder: Path, fields: Sequence[str]) -> Batches:
-    """``mmap_ninja``: a ``RaggedMmap`` a field."""
-    from mmap_ninja import RaggedMmap
-
-    copy = _copy(folder, "ninja", fields)
-    for field in fields:
-        if not (copy / field).exists():
-            RaggedMmap.from_lists(copy / field, _values(folder, field))
-    maps = {field: RaggedMmap(copy / field) for field in fields}
-    return lambda indices: pack({field: [maps[field][i] for i in indices] for field in fields})
-
-
-def by_lance(folder: Path, fields: Sequence[str]) -> Batches:
-    """``lance``: a row a garment, a list of numbers a field; ``take`` of the rows."""
-    import lance
-
-    copy = _copy(folder, "lance", fields) / "set.lance"
-    if not copy.exists():
-        lance.write_dataset(_table(folder, fields), copy)
-    dataset, shapes = lance.dataset(copy), _shapes(folder, fields)
-    return lambda indices: pack(_of_table(dataset.take(list(indices)), shapes))
-
-
 def by_arrow(folder: Path, fields: Sequence[str]) -> Batches:
     """Arrow's IPC file, mapped; ``take`` of the rows."""
     import pyarrow as pa
@@ -178,10 +155,8 @@ LOADERS: Mapping[str, tuple[str, Callable[[Path, Sequence[str]], Batches]]] = {
     "GarmentLoader": ("torch", by_garment_loader),
     "memmap": ("numpy", by_memmap),
     "memmap as ndarray": ("numpy", partial(by_memmap, plain=True)),
-    "mmap_ninja": ("mmap_ninja", by_ninja),
     "HDF5": ("h5py", by_hdf5),
     "Arrow": ("pyarrow", by_arrow),
-    "Lance": ("lance", by_lance),
     "litdata": ("litdata", by_litdata),
     "mosaicml streaming": ("streaming", by_streaming),
     "webdataset": ("webdataset", by_webdataset),
