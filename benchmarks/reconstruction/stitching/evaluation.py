@@ -4,24 +4,18 @@ One to one: edges subdivided as drawn. N to m: edges joined wherever possible, s
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, astuple, fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from benchmarks.reconstruction.garments import Split
-from benchmarks.reconstruction.judging import means_of
+from benchmarks.reconstruction.judging import intervals, means_of
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.merging import Merged, merged
-from benchmarks.reconstruction.stitching.scores import (
-    IntervalScore,
-    StitchScore,
-    random_symmetry,
-    score_intervals,
-    score_stitches,
-)
+from benchmarks.reconstruction.stitching.scores import StitchScore, random_symmetry, score_intervals, score_stitches
 from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew, sew_in_ways
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.files import make_folder
@@ -32,9 +26,6 @@ from gcd_dataset.workers import parallel_map
 if TYPE_CHECKING:
     from benchmarks.reconstruction.stitching.net import StitchNet
 
-Score = TypeVar("Score", StitchScore, IntervalScore)
-
-DRAWS = 1000  # of the bootstrap
 CUT_LOGITS = (0.0, -0.7, -1.4, -2.1, -2.8)  # log-odds of points of subdivision that are tried
 
 
@@ -150,26 +141,19 @@ def _score(true: Pattern, predicted: Pattern) -> StitchScore:
     return score_stitches(graph_of(true), [(row_of[seam.left], row_of[seam.right]) for seam in predicted.seams])
 
 
-def _interval_scored(pair: tuple[Merged, Pattern]) -> IntervalScore:
+def _interval_scored(pair: tuple[Merged, Pattern]) -> StitchScore:
     return score_intervals(*pair)
 
 
-def _by_kind(kinds: Sequence[str], scores: Sequence[Score | None]) -> dict[str, list[Score]]:
+def _by_kind(kinds: Sequence[str], scores: Sequence[StitchScore | None]) -> dict[str, list[StitchScore]]:
     """The scores of each kind of garment, without missing ones; kinds that have some, by name."""
-    found: dict[str, list[Score]] = {}
+    found: dict[str, list[StitchScore]] = {}
     for kind, score in sorted(zip(kinds, scores, strict=True), key=lambda pair: pair[0]):
         if score is not None:
             found.setdefault(kind, []).append(score)
     return found
 
 
-def _table(scores: Sequence[Score]) -> dict[str, Any]:
+def _table(scores: Sequence[StitchScore]) -> dict[str, Any]:
     """Means with 95 % bootstrap intervals; empty for no garments."""
-    if not scores:
-        return {}
-    values = np.array([astuple(score) for score in scores])
-    drawn = values[np.random.default_rng(0).integers(len(values), size=(DRAWS, len(values)))].mean(axis=1)
-    low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
-    names = [field.name for field in fields(scores[0])]
-    rows = zip(names, values.mean(axis=0), low, high, strict=True)
-    return {"garments": len(scores)} | {name: [round(float(v), 4) for v in (mean, a, b)] for name, mean, a, b in rows}
+    return {"garments": len(scores), **intervals(scores)} if scores else {}

@@ -39,16 +39,6 @@ class Merged:
     parts: Pattern
     """The pattern subdivided at ``cuts``, with all seams: the truth."""
 
-    @property
-    def seams_of_several(self) -> frozenset[int]:
-        """Seams of ``parts`` with a side that is a part of an edge."""
-        refs = dict(zip(edge_refs(self.parts), _origins(self.pattern, self.cuts), strict=True))
-        return frozenset(
-            number
-            for number, seam in enumerate(self.parts.seams)
-            if refs[seam.left] in self.cuts or refs[seam.right] in self.cuts
-        )
-
 
 def merged(pattern: Pattern, rng: np.random.Generator | None = None) -> Merged | None:
     """The pattern with edges joined wherever possible; ``None`` if it is possible nowhere.

@@ -246,66 +246,12 @@ class _Search:
 SAME = 0.9  # intersection over union of intervals that count as one
 
 
-@dataclass(frozen=True, slots=True)
-class IntervalScore:
-    """Scores of the stitches of one garment, in [0, 1]."""
-
-    f1: float
-    """F1 of all seams."""
-    f1_symmetric: float
-    """F1 of all seams, up to the symmetries of the subdivided panels."""
-    perfect_symmetric: float
-    f1_several: float
-    """F1 of the seams n to m: a side is a part of an edge."""
-    f1_several_symmetric: float
-    cut_recall: float
-    """Share of the parts of edges whose two ends are found."""
-
-
-def score_intervals(true: Merged, predicted: Pattern) -> IntervalScore:
+def score_intervals(true: Merged, predicted: Pattern) -> StitchScore:
     """The score of ``predicted``: the panels of ``true.pattern`` with seams; its edges may be subdivided."""
-    graph, row_of = graph_of(true.parts), _rows_of_truth(true.parts, predicted)
+    row_of = _rows_of_truth(true.parts, predicted)
     stitches = [(row_of.get(seam.left, -1), row_of.get(seam.right, -1)) for seam in predicted.seams]
     known = [pair for pair in stitches if min(pair) >= 0]
-    extra = len(stitches) - len(known)
-    score, several, parts = score_stitches(graph, known, others=extra), _rows_of_several(true), _parts(true)
-    partners = partners_of(graph, known)
-    as_given, moved = np.arange(len(partners)), best_symmetry(graph, partners)
-    return IntervalScore(
-        f1=score.f1,
-        f1_symmetric=score.f1_symmetric,
-        perfect_symmetric=score.perfect_symmetric,
-        f1_several=_f1_of(graph, partners, as_given, several, extra),
-        f1_several_symmetric=max(_f1_of(graph, partners, rows, several, extra) for rows in (as_given, moved)),
-        cut_recall=float(np.isin(parts, list(row_of.values())).mean()) if len(parts) else 1.0,
-    )
-
-
-def _f1_of(
-    graph: EdgeGraph, partners: Int[np.ndarray, " e"], moved: Int[np.ndarray, " e"], several: set[int], extra: int
-) -> float:
-    """F1 of the true stitches of ``several`` rows, and the predicted stitches that touch them or no true edge."""
-    wanted = {(row, int(graph.partners[row])) for row in several if graph.partners[row] > row}
-    found = set()
-    for row in np.flatnonzero(partners >= 0).tolist():
-        pair = int(moved[row]), int(moved[partners[row]])
-        if pair[0] < pair[1] and several & set(pair):
-            found.add(pair)
-    right = len(wanted & found)
-    return 2 * right / (len(wanted) + len(found) + extra) if wanted or found or extra else 1.0
-
-
-def _rows_of_several(true: Merged) -> set[int]:
-    """Rows of both sides of the seams that have a side which is a part of an edge."""
-    row_of = {ref: row for row, ref in enumerate(edge_refs(true.parts))}
-    seams = [true.parts.seams[number] for number in true.seams_of_several]
-    return {row_of[side] for seam in seams for side in (seam.left, seam.right)}
-
-
-def _parts(true: Merged) -> Int[np.ndarray, " k"]:
-    """Rows of the subdivided pattern that are parts of an edge."""
-    counts = [len(true.cuts.get(ref, ())) + 1 for ref in edge_refs(true.pattern)]
-    return np.flatnonzero(np.repeat(counts, counts) > 1)
+    return score_stitches(graph_of(true.parts), known, others=len(stitches) - len(known))
 
 
 def _rows_of_truth(true: Pattern, predicted: Pattern) -> dict[EdgeRef, int]:
