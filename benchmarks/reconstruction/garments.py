@@ -45,7 +45,6 @@ PATTERN = ("panels", "edges", "stitches")
 FIELDS = ("meta", "design", "measures", "body", *PATTERN)
 """Item fields of every set; ``points`` and others are read where a task needs them."""
 LOG_EVERY = 1000  # garments
-HASHED = 64  # points of a garment
 MOST_FRESH = 1_000_000  # garments of a stream
 TOGETHER = 16  # garments that a worker sends together
 PORTION = 4000  # garments of a file of the cache
@@ -159,11 +158,6 @@ class GarmentSet:
     def ids_hash(self) -> str:
         """SHA-256 of the keys in their order."""
         return hashlib.sha256("\n".join(self.keys).encode()).hexdigest()
-
-    @property
-    def points_hash(self) -> str:
-        """SHA-256 of the first ``HASHED`` points of all garments: another mesh, cloth or machine gives others."""
-        return hashlib.sha256(np.ascontiguousarray(self.points[:, :HASHED]).tobytes()).hexdigest()
 
     def save(self, path: Path) -> None:
         """Write the set as one ``.npz`` file."""

@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from benchmarks.reconstruction.derived import CENTRE
+from gcd_dataset.generator.render.figure import vertex_normals
 from gcd_dataset.meshedges import mesh_edges
 
 METRE = 100.0  # cm: unit of positions in networks
@@ -75,14 +76,6 @@ def surface_of(
         shape=_shape(vertices, faces, pairs, on_border),
         clusters=_clusters(place, pairs, rest + 1e-6, clusters),
     )
-
-
-def vertex_normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "v 3"]:
-    """Unit normals, weighted by area; 0 for a vertex without faces."""
-    corner = np.asarray(vertices, np.float64)[faces]
-    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    total = np.stack([np.bincount(faces.ravel(), np.repeat(axis, 3), len(vertices)) for axis in across.T], axis=1)
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
 
 
 def _edges(

@@ -9,9 +9,10 @@ from jaxtyping import Float, Int
 
 from benchmarks.reconstruction.derived import CENTRE
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.surfaces import METRE, farthest_points, vertex_normals
+from benchmarks.reconstruction.surfaces import METRE, farthest_points
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body.shape import build_body
+from gcd_dataset.generator.render.figure import vertex_normals
 from gcd_dataset.generator.views import stored_body, stored_scene
 from gcd_dataset.measurements import MEASURES, Measurements
 from gcd_dataset.records import Body, BodyPart, BodyShape, BoxMesh
