@@ -39,7 +39,7 @@ from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, resolve_device
 from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
 from gcd_dataset.generator.dressing import has_legs
-from gcd_dataset.generator.fitting import Fitting, Refusal, drape_patterns, read_patterns, write_fitting
+from gcd_dataset.generator.fitting import Fitting, Refusal, drape_patterns, read_patterns
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
 from gcd_dataset.generator.quality import grade_of, strain_of
 from gcd_dataset.generator.render import render_garment
@@ -70,8 +70,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--resolution", type=float, default=1.0, help="[cm]")
     parser.add_argument("--batch", type=int, default=1, help="garments per batch; threads on a CPU")
-    parser.add_argument("--repeat", type=int, default=1, help="copies of each pattern, to fill a batch")
-    parser.add_argument("--pictures", type=Path, help="folder for meshes and pictures")
 
 
 def run(options: argparse.Namespace) -> CaseResult:
@@ -89,12 +87,7 @@ def run(options: argparse.Namespace) -> CaseResult:
     if options.peer:
         return _compared(read, bodies, options)
     _warm_up(read, bodies, options.device)
-    patterns = [pattern for pattern in read for _ in range(options.repeat if isinstance(pattern, Pattern) else 1)]
-    results = []
-    for result in drape_patterns(patterns, bodies.__getitem__, resolution=options.resolution, device=options.device):
-        results.append(result)
-        if options.pictures and isinstance(result, Fitting):
-            write_fitting(result, options.pictures, device=options.device)
+    results = list(drape_patterns(read, bodies.__getitem__, resolution=options.resolution, device=options.device))
     fittings = [result for result in results if isinstance(result, Fitting)]
     columns = dict.fromkeys((fittings or results)[0].row, "")
     return CaseResult(

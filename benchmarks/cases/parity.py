@@ -4,8 +4,7 @@ Every folder with a ``*_specification.json``, a ``design_params.yaml`` and a ``b
 ``same``: panel names and seams agree. ``outline``: every outline is within 0.2 cm of its counterpart; within 0.5 cm for
 fronts of the bodice and 1 cm for sleeves, their cuffs and hoods, where the reference varies between versions of SciPy;
 and each sleeve's cap, without gathers, equals its armhole to 0.1 cm. ``placement``: every panel is placed within 1 cm
-of its counterpart. A design that agrees only without some mend (``garments/mends.py``) counts as agreeing; with
-``--expect``, a TOML file of folder name to list of mends, only the listed mends may be left out.
+of its counterpart. A design that agrees only without some mend (``garments/mends.py``) counts as agreeing.
 """
 
 import argparse
@@ -25,7 +24,6 @@ from gcd_dataset.generator.body import read_measurements
 from gcd_dataset.generator.garments import draw_garment
 from gcd_dataset.generator.garments.design import GarmentDesign, read_design
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
-from gcd_dataset.jsonfile import read_toml
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern
 from gcd_dataset.spec import read_pattern
 
@@ -205,16 +203,14 @@ class Verdict:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, help="folder of designs, searched recursively")
     parser.add_argument("--only", default="", help="only designs whose path contains this text")
-    parser.add_argument("--expect", type=Path, help="TOML: folder name = list of mends that may be left out")
 
 
 def run(options: argparse.Namespace) -> CaseResult:
-    """Compare all designs. Raises ``ConfigError`` for a folder without designs, or an invalid ``--expect`` file."""
+    """Compare all designs. Raises ``ConfigError`` for a folder without designs."""
     folders = [path for path in _designs(options.folder) if options.only in str(path)]
     if not folders:
         raise ConfigError(f"{options.folder}: no folder in it has design, measures and specification of a pattern")
-    expected = None if options.expect is None else _read_expected(options.expect)
-    verdicts = [_judge(options.folder, path, expected) for path in folders]
+    verdicts = [_judge(options.folder, path) for path in folders]
     for verdict in verdicts:
         for text in (*verdict.structure, *verdict.outline, *verdict.placement):
             print(f"{verdict.name}: {text}")
@@ -247,26 +243,14 @@ def _designs(folder: Path) -> list[Path]:
     )
 
 
-def _read_expected(path: Path) -> Mapping[str, frozenset[Mend]]:
-    content = read_toml(path)
-    try:
-        return {folder: frozenset(Mend[name] for name in mends) for folder, mends in content.items()}
-    except TypeError as error:
-        raise ConfigError(f"{path}: {error}: give a TOML file of folder name = list of mends") from error
-    except KeyError as error:
-        known = ", ".join(mend.name for mend in Mend)
-        raise ConfigError(f"{path}: unknown mend {error}: choose among {known}") from error
-
-
-def _judge(root: Path, folder: Path, expected: Mapping[str, frozenset[Mend]] | None) -> Verdict:
+def _judge(root: Path, folder: Path) -> Verdict:
     """The verdict with all mends; if the patterns differ, with the fewest mends left out that explain it."""
     name = folder.relative_to(root).as_posix()
-    may_explain = ALL_MENDS if expected is None else expected.get(name, frozenset())
     try:
         design, size = read_design(folder / "design_params.yaml"), read_measurements(folder / "body_measurements.yaml")
         theirs = read_pattern(next(folder.glob("*_specification.json")))
         best = _verdict(name, size, design, theirs, ())
-        for left_out in _subsets(may_explain & design.mends()):
+        for left_out in _subsets(design.mends()):
             if best.agrees:
                 break
             other = _verdict(name, size, design, theirs, left_out)

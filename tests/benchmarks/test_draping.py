@@ -138,8 +138,8 @@ def changed(pattern: Pattern, **values: object) -> Pattern:
     return replace(pattern, panels=(panel, *pattern.panels[1:]))
 
 
-def parity_figures(folder: Path, expect: Path | None = None, *, only: str = "") -> dict[str, float]:
-    measured = parity.run(argparse.Namespace(folder=folder, only=only, expect=expect))
+def parity_figures(folder: Path, *, only: str = "") -> dict[str, float]:
+    measured = parity.run(argparse.Namespace(folder=folder, only=only))
     return {figure.metric: figure.value for figure in measured.figures}
 
 
@@ -150,16 +150,10 @@ def test_our_patterns_agree_with_the_reference(examples: Path) -> None:
     assert figures["same"] == figures["outline"] == figures["placement"] == 1.0
 
 
-def test_without_an_expected_mend_a_difference_counts(examples: Path, tmp_path: Path) -> None:
+def test_a_difference_that_a_mend_explains_is_told(examples: Path) -> None:
     """Our levels are as wide as the hem above; GarmentCode's width also depends on the hips."""
-    expect = tmp_path / "mends.toml"
-    expect.write_text("")
-    assert parity_figures(examples / "patterns" / "levels_skirt", expect)["outline"] == 0.0
-    expect.write_text('default_body = ["LEVEL_GIRTH", "WORN_LENGTH"]\n')
-    assert parity_figures(examples / "patterns" / "levels_skirt", expect)["outline"] == 0.5
-    expect.write_text('default_body = ["LEVELS"]\n')
-    with pytest.raises(ConfigError, match="unknown mend 'LEVELS': choose among"):
-        parity_figures(examples / "patterns" / "levels_skirt", expect)
+    figures = parity_figures(examples / "patterns" / "levels_skirt")
+    assert (figures["outline"], figures["with_all_mends"]) == (1.0, 0.0)
 
 
 def test_a_folder_without_designs_is_refused(tmp_path: Path) -> None:

@@ -122,7 +122,7 @@ def test_several_processes_score_alike_and_the_headline_counts_right_drapes_of_a
 
 
 def test_all_patterns_agree_with_the_reference(examples: Path) -> None:
-    measured = parity.run(Namespace(folder=examples / "patterns", only="", expect=None))
+    measured = parity.run(Namespace(folder=examples / "patterns", only=""))
     found = {figure.metric: figure.value for figure in measured.figures}
     assert found["designs"] == 24
     assert found["same"] == found["outline"] == found["placement"] == 1.0
