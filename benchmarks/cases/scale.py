@@ -33,7 +33,6 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drape.batches import PreparedJob
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest, SharedDraper, address_for
-from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.pipeline import drape_jobs, finish, prepare
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
@@ -70,11 +69,9 @@ def run(options: argparse.Namespace) -> CaseResult:
     rate = figures[0].value
     figures.append(Figure("unsettled", 1 - outcomes[Outcome.SETTLED.name] / options.count, "of the garments"))
     if device_kind(config) == "cuda" and options.seconds:
-        for name, pictured in (("own_per_s", False), ("own_pictured_per_s", True)):
-            own = own_rate(config, prepared=options.prepared, warm=256, seconds=options.seconds, pictured=pictured)
-            figures.append(Figure(name, own, "garments, by one GPU"))
-            if not pictured:
-                figures.append(Figure("share", rate / own / len(devices), "of the drapers' own rate"))
+        own = own_rate(config, prepared=options.prepared, warm=256, seconds=options.seconds)
+        figures.append(Figure("own_per_s", own, "garments, by one GPU"))
+        figures.append(Figure("share", rate / own / len(devices), "of the drapers' own rate"))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return CaseResult(
         [*figures, Figure("memory", memory, "MB, the writing process at its peak"), *_steps(config, options)]
@@ -124,22 +121,7 @@ def _steps(config: MakeConfig, options: argparse.Namespace) -> list[Figure]:
             sample = timed("finish", finish, design, worn.index, config, DrapeReply(worn.index, drape, None))
             timed("encode", encode_sample, sample)
             garments += 1
-    figures = [Figure(f"cpu_{name}", seconds / garments, "CPU-s a garment") for name, seconds in spent.items()]
-    return [*figures, Figure("cpu_jpeg", _jpeg_seconds(options.picture), "CPU-s a garment")]
-
-
-def _jpeg_seconds(size: int) -> float:
-    """CPU seconds to encode two smooth pictures of the garments' size; noise would take longer."""
-    import numpy as np
-
-    if not size:
-        return 0.0
-    row, column = np.mgrid[:size, :size]
-    picture = np.stack([128 + 100 * np.sin(row / 9), 128 + 100 * np.cos(column / 7), 0 * row], axis=2).astype(np.uint8)
-    begun = time.process_time()
-    for _ in range(10):
-        jpeg_bytes(picture)
-    return (time.process_time() - begun) / 5
+    return [Figure(f"cpu_{name}", seconds / garments, "CPU-s a garment") for name, seconds in spent.items()]
 
 
 SAMPLE_EVERY = 200  # ms between samples of nvidia-smi
@@ -147,7 +129,7 @@ SHIFT = 1e-6  # cm, change of a body that makes the draper treat it as another b
 QUEUED = 256  # requests in the queue: more than a GPU drapes at a time
 
 
-def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pictured: bool = False) -> float:
+def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float) -> float:
     """Garments per second of one draping process with a queue that never runs empty.
 
     ``prepared`` designs are repeated, on bodies that the draper has not seen; the first ``warm`` garments are not
@@ -159,9 +141,8 @@ def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pi
         DrapeJob(one.box_mesh, one.body, one.size, coarse=one.coarse, start=one.start) for one in worn if one.box_mesh
     ]
     ready = [PreparedJob.of(job) for job in jobs]
-    picture = config.picture if pictured else 0
     with SharedDraper(address_for(devices_of(config)[0])) as draper:
-        requests = (_on_new_body(one, number, picture) for number, one in enumerate(cycle(ready)))
+        requests = (_on_new_body(one, number) for number, one in enumerate(cycle(ready)))
         for request in islice(requests, QUEUED):
             draper.send(request)
         for request in islice(requests, warm):
@@ -175,12 +156,12 @@ def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pi
         return counted / (time.perf_counter() - begun)
 
 
-def _on_new_body(ready: PreparedJob, number: int, picture: int) -> DrapeRequest:
+def _on_new_body(ready: PreparedJob, number: int) -> DrapeRequest:
     """A request on a slightly moved body: the draper caches data per body, and a data set has a new body per job."""
     job = replace(ready.job, body=replace(ready.job.body, vertices=ready.job.body.vertices + SHIFT * number))
     skin, shape = ready.field.digests
     field = replace(ready.field, digests=(skin, shape + str(number).encode()))
-    return DrapeRequest(number, job, picture, prepared=replace(ready, job=job, field=field))
+    return DrapeRequest(number, job, 0, prepared=replace(ready, job=job, field=field))
 
 
 @dataclass
