@@ -15,7 +15,7 @@ from benchmarks.reconstruction.garments import Split
 from benchmarks.reconstruction.judging import intervals, means_of
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.merging import Merged, merged
-from benchmarks.reconstruction.stitching.scores import StitchScore, random_symmetry, score_intervals, score_stitches
+from benchmarks.reconstruction.stitching.scores import StitchScore, score_intervals, score_stitches
 from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew, sew_in_ways
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.files import make_folder
@@ -74,14 +74,13 @@ def evaluate(
     for pattern in patterns:
         graph = PackedGraphs.of([graph_of(replace(pattern, seams=()))])
         greedy.append(with_seams(pattern, greedy_by_length(graph[torch.zeros(1, dtype=torch.long)])[0]))
-    rng = np.random.default_rng(0)
     joined = [found for pattern in patterns if (found := merged(pattern)) is not None]
-    at_once, ours = sew(net, patterns, rounds=1), sew(net, patterns)
+    ours = sew(net, patterns)
     parted = sew(net, [entry.pattern for entry in joined], subdivide=way)
     write(out / "several" / "predictions", parted)
     write(out / "several" / "truth", [entry.parts for entry in joined])
-    pairs = [list(zip(patterns, answers, strict=True)) for answers in (ours, at_once, greedy)]
-    scores, first, floor = (list(parallel_map(_scored, some, workers)) for some in pairs)
+    pairs = [list(zip(patterns, answers, strict=True)) for answers in (ours, greedy)]
+    scores, floor = (list(parallel_map(_scored, some, workers)) for some in pairs)
     several = list(parallel_map(_interval_scored, zip(joined, parted, strict=True), workers))
     several_of = {entry.parts.name: score for entry, score in zip(joined, several, strict=True)}
     return {
@@ -91,8 +90,6 @@ def evaluate(
             kind: {"garments": len(own), **means_of(own)}
             for kind, own in _by_kind(kinds, [several_of.get(pattern.name) for pattern in patterns]).items()
         },
-        "one_round": _table(first),
-        "faultless_by_shape": _table([_moved_truth(pattern, rng) for pattern in patterns]),
         "greedy_by_length": means_of(floor),
         "several": _table(several),
         "subdivision": asdict(way),
@@ -123,13 +120,6 @@ def write(folder: Path, patterns: Sequence[Pattern]) -> None:
         old.unlink()
     for pattern in patterns:
         write_pattern(pattern, folder / f"{pattern.name}_specification.json")
-
-
-def _moved_truth(pattern: Pattern, rng: np.random.Generator) -> StitchScore:
-    """The score of the truth after a random symmetry of its panels: its strict part is below 1."""
-    graph = graph_of(pattern)
-    moved = random_symmetry(graph, rng)
-    return score_stitches(graph, [(moved[a], moved[b]) for a, b in enumerate(graph.partners.tolist()) if b > a])
 
 
 def _scored(pair: tuple[Pattern, Pattern]) -> StitchScore:

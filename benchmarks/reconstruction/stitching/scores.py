@@ -95,27 +95,6 @@ def congruences(graph: EdgeGraph) -> Turns:
     return turns
 
 
-def random_symmetry(graph: EdgeGraph, rng: np.random.Generator) -> Int[np.ndarray, " e"]:
-    """A random symmetry of the panels: the image of each row.
-
-    The strict score of the truth moved by it is what an answer without any fault is worth, where the answer depends on
-    the shapes of the panels only.
-    """
-    turns = congruences(graph)
-    first, sizes = np.flatnonzero(np.diff(graph.panels, prepend=-1)), np.bincount(graph.panels)
-    moved = np.arange(len(graph.lengths))
-    kinds: dict[int, list[int]] = {}
-    for one, other in turns:
-        if one == min(b for a, b in turns if a == other):
-            kinds.setdefault(one, []).append(other)
-    for panels in kinds.values():
-        for panel, target in zip(panels, rng.permutation(panels).tolist(), strict=True):
-            shift = int(rng.choice(turns[panel, target]))
-            places = np.arange(sizes[panel])
-            moved[first[panel] + places] = first[target] + (places + shift) % sizes[panel]
-    return moved
-
-
 def _lie_on(graph: EdgeGraph, rows: Int[np.ndarray, " k"], others: Int[np.ndarray, " k"]) -> bool:
     """Whether a turn and a shift put one loop on another, edge by edge."""
     if np.abs(graph.lengths[rows] - graph.lengths[others]).max() > CONGRUENT:

@@ -1,7 +1,7 @@
 """The seams of patterns, as a ``StitchNet`` predicts them in rounds, and the points at which it subdivides edges."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
@@ -29,6 +29,7 @@ from gcd_dataset.records import Pattern
 if TYPE_CHECKING:
     from benchmarks.reconstruction.stitching.net import StitchNet
 
+BATCH = 64  # patterns at once
 LEAST = 1e-3  # probability of a seam that may be predicted
 REVISIONS = 3  # most times that needless points of subdivision are taken back
 ALIGNED = 0.04  # a cut moves by at most this share of the length to agree with the lengths that are sewn to it
@@ -45,24 +46,16 @@ class Subdivision:
 
 
 @torch.no_grad()
-def sew(
-    net: "StitchNet",
-    patterns: Sequence[Pattern],
-    *,
-    subdivide: Subdivision | None = None,
-    rounds: int = 0,
-    batch: int = 64,
-    seed: int = 0,
-) -> list[Pattern]:
+def sew(net: "StitchNet", patterns: Sequence[Pattern], *, subdivide: Subdivision | None = None) -> list[Pattern]:
     """The patterns with predicted seams instead of their own.
 
-    ``rounds``: most rounds, 0 for those of the configuration. ``subdivide``: how edges are subdivided, for seams that
-    join one edge to several; ``None``: no edge is. Rows are shuffled by ``seed``, so that the order of panels, or of
-    the edges in a loop, cannot help; it breaks ties between equally likely seams.
+    ``subdivide``: how edges are subdivided, for seams that join one edge to several; ``None``: no edge is. Rows are
+    shuffled, so that the order of panels, or of the edges in a loop, cannot help; it breaks ties between equally likely
+    seams.
     """
     if subdivide is None:
-        return _sewn(net, [replace(pattern, seams=()) for pattern in patterns], rounds, batch, seed)
-    found = _Parts.of(net, patterns, subdivide.logit, rounds=rounds, batch=batch, seed=seed)
+        return _sewn(net, [replace(pattern, seams=()) for pattern in patterns])
+    found = _Parts.of(net, patterns, subdivide.logit)
     return (found.revised() if subdivide.revised else found).patterns()
 
 
@@ -86,35 +79,23 @@ class _Parts:
     cuts: Sequence[Cuts]
     parts: Sequence[Pattern]
     """The patterns subdivided at ``cuts``, with seams."""
-    options: Mapping[str, int]
-    """Keyword arguments of ``_sewn``."""
 
     @classmethod
     @torch.no_grad()
-    def of(
-        cls,
-        net: "StitchNet",
-        patterns: Sequence[Pattern],
-        logit: float,
-        *,
-        rounds: int = 0,
-        batch: int = 64,
-        seed: int = 0,
-    ) -> Self:
+    def of(cls, net: "StitchNet", patterns: Sequence[Pattern], logit: float) -> Self:
         """The patterns subdivided at points of a greater log-odds than ``logit``."""
         bare = [replace(pattern, seams=()) for pattern in patterns]
         cuts: list[Cuts] = []
-        for first in range(0, len(bare), batch):
-            some = bare[first : first + batch]
+        for first in range(0, len(bare), BATCH):
+            some = bare[first : first + BATCH]
             graphs = PackedGraphs.of([graph_of(pattern) for pattern in some]).to(_device(net))
             found = predict_cuts(net, graphs[torch.arange(len(some))], logit=logit)
             cuts += [
                 {ref: tuple(own[row]) for row, ref in enumerate(edge_refs(pattern)) if row in own}
                 for pattern, own in zip(some, found, strict=True)
             ]
-        options = {"rounds": rounds, "batch": batch, "seed": seed}
-        parts = _sewn(net, [split(pattern, own) for pattern, own in zip(bare, cuts, strict=True)], **options)
-        return cls(net, bare, cuts, parts, options)
+        parts = _sewn(net, [split(pattern, own) for pattern, own in zip(bare, cuts, strict=True)])
+        return cls(net, bare, cuts, parts)
 
     @torch.no_grad()
     def revised(self) -> Self:
@@ -125,7 +106,7 @@ class _Parts:
             changed = [k for k, own in enumerate(fewer) if own != cuts[k]]
             if not changed:
                 break
-            again = _sewn(self.net, [split(self.bare[k], fewer[k]) for k in changed], **self.options)
+            again = _sewn(self.net, [split(self.bare[k], fewer[k]) for k in changed])
             cuts = list(fewer)
             for k, pattern in zip(changed, again, strict=True):
                 parts[k] = pattern
@@ -145,16 +126,16 @@ def _moved(pattern: Pattern, cuts: Cuts, parts: Pattern) -> Pattern:
     return replace(split(pattern, better), seams=parts.seams)
 
 
-def _sewn(net: "StitchNet", patterns: Sequence[Pattern], rounds: int, batch: int, seed: int) -> list[Pattern]:
+def _sewn(net: "StitchNet", patterns: Sequence[Pattern]) -> list[Pattern]:
     if not patterns:
         return []
     graphs = PackedGraphs.of([graph_of(pattern) for pattern in patterns]).to(_device(net))
-    chance = torch.Generator().manual_seed(seed)
+    chance = torch.Generator().manual_seed(0)
     found: dict[int, Pattern] = {}
-    for rows in torch.split(graphs.counts.argsort(), batch):
+    for rows in torch.split(graphs.counts.argsort(), BATCH):
         part = graphs[rows]
         order = torch.rand(part.panels.shape, generator=chance).argsort(dim=1).to(part.panels.device)
-        stitches = predict_stitches(net, part.permuted(order), rounds)
+        stitches = predict_stitches(net, part.permuted(order))
         for row, own, places in zip(rows.tolist(), stitches, order.tolist(), strict=True):
             found[row] = with_seams(patterns[row], [(places[left], places[right], w) for left, right, w in own])
     return [found[row] for row in range(len(patterns))]
@@ -165,13 +146,13 @@ def _device(net: nn.Module) -> torch.device:
 
 
 @torch.no_grad()
-def predict_stitches(net: "StitchNet", batch: EdgeBatch, rounds: int = 0) -> list[list[tuple[int, int, bool]]]:
+def predict_stitches(net: "StitchNet", batch: EdgeBatch) -> list[list[tuple[int, int, bool]]]:
     """Rows of the edges of each stitch, and whether it is ``right_wrong``."""
-    config, rounds = net.config, rounds or net.config.rounds
+    config = net.config
     known = torch.full_like(batch.partners, -1)
     wrong = torch.zeros_like(batch.right_wrong)
     open_rows = np.arange(len(batch))
-    for number in range(rounds):
+    for number in range(config.rounds):
         rows = torch.from_numpy(open_rows).to(known.device)
         part = batch if len(rows) == len(batch) else batch.select(rows)
         scores = net(part, known[rows])
@@ -179,7 +160,7 @@ def predict_stitches(net: "StitchNet", batch: EdgeBatch, rounds: int = 0) -> lis
         turned = (scores.right_wrong > 0).cpu().numpy()
         partners, flags, still = known[rows].cpu().numpy(), wrong[rows].cpu().numpy(), []
         for at, row in enumerate(open_rows.tolist()):
-            is_last = number == rounds - 1
+            is_last = number == config.rounds - 1
             pairs = _best_matching(choices[at]) if is_last else _fixed(choices[at], config.confident)
             if pairs and not is_last:
                 still.append(row)
