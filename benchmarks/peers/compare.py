@@ -24,7 +24,7 @@ from gcd_dataset.records import Drape, Outcome
 def compare_solvers(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device: str) -> CaseResult:
     """Drape batches of each size with every solver, cycling through the garments; one row per solver and size.
 
-    ``ours`` starts from coarse meshes, made in ``setup_s``; ``ours_direct`` has no coarse start. For ``newton``,
+    ``ours`` starts from coarse meshes, made in ``setup_s``. For ``newton``,
     ``setup_s`` covers the model and the first frame; ``ours`` builds its model in ``solve_s``. Seconds are per garment.
     """
     jobs = [replace(job, coarse=None, start=None) for job in jobs]
@@ -33,7 +33,7 @@ def compare_solvers(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device:
     rows, figures = [], []
     for batch in batches:
         some = list(islice(cycle(jobs), batch))
-        for row in (_ours(some, device), _ours_direct(some, device), _theirs(some, device)):
+        for row in (_ours(some, device), _theirs(some, device)):
             rows.append({"solver": row["solver"], "batch": batch, **row})
             figures += [
                 Figure(f"{row['solver']}_{part}_batch_{batch}", row[part], "s") for part in ("setup_s", "solve_s")
@@ -45,19 +45,9 @@ def _ours(jobs: Sequence[DrapeJob], device: str) -> dict[str, Any]:
     start = time.perf_counter()
     ready = [replace(job, coarse=coarse_start(job.box_mesh)) for job in jobs]
     meshed = time.perf_counter()
-    drapes = drape_batch(ready, device=device, at_once=_at_once(jobs, device))
+    at_once = 1 if device == "cpu" else len(jobs)  # one thread for both solvers
+    drapes = drape_batch(ready, device=device, at_once=at_once)
     return _row("ours", drapes, meshed - start, time.perf_counter() - meshed)
-
-
-def _ours_direct(jobs: Sequence[DrapeJob], device: str) -> dict[str, Any]:
-    start = time.perf_counter()
-    drapes = drape_batch(jobs, DrapeConfig(coarse_start=False), device=device, at_once=_at_once(jobs, device))
-    return _row("ours_direct", drapes, 0.0, time.perf_counter() - start)
-
-
-def _at_once(jobs: Sequence[DrapeJob], device: str) -> int:
-    """Garments per batch: all on a GPU; one on a CPU, so that both solvers use one thread."""
-    return 1 if device == "cpu" else len(jobs)
 
 
 def _theirs(jobs: Sequence[DrapeJob], device: str) -> dict[str, Any]:
