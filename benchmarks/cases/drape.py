@@ -70,6 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--resolution", type=float, default=1.0, help="[cm]")
     parser.add_argument("--batch", type=int, default=1, help="garments per batch; threads on a CPU")
+    parser.add_argument("--repeat", type=int, default=1, help="copies of each pattern, to fill a batch")
 
 
 def run(options: argparse.Namespace) -> CaseResult:
@@ -87,7 +88,9 @@ def run(options: argparse.Namespace) -> CaseResult:
     if options.peer:
         return _compared(read, bodies, options)
     _warm_up(read, bodies, options.device)
-    results = list(drape_patterns(read, bodies.__getitem__, resolution=options.resolution, device=options.device))
+    patterns = [pattern for pattern in read for _ in range(options.repeat if isinstance(pattern, Pattern) else 1)]
+    draped = drape_patterns(patterns, bodies.__getitem__, resolution=options.resolution, device=options.device)
+    results = list(draped)
     fittings = [result for result in results if isinstance(result, Fitting)]
     columns = dict.fromkeys((fittings or results)[0].row, "")
     return CaseResult(
