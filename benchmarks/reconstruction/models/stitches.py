@@ -39,7 +39,7 @@ from benchmarks.reconstruction.stitching.graphs import (
 from benchmarks.reconstruction.stitching.losses import edge_noise, mirrored, revealed, scaled, stitch_loss
 from benchmarks.reconstruction.stitching.merging import glued, merged, split, subdivided
 from benchmarks.reconstruction.stitching.net import StitchConfig, StitchNet
-from benchmarks.reconstruction.stitching.sewing import Subdivision, sew
+from benchmarks.reconstruction.stitching.sewing import sew
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
@@ -153,11 +153,9 @@ class StitchExamples:
 class StitchLearner(Learner[StitchBatch, Pattern]):
     """Panels to a pattern with seams (task T3)."""
 
-    def __init__(self, config: StitchConfig, *, subdivide: bool = False) -> None:
+    def __init__(self, config: StitchConfig) -> None:
         super().__init__()
         self.net = StitchNet(config)
-        self.subdivide = subdivide
-        """Whether ``predict`` may subdivide edges."""
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> StitchExamples:
         """The graphs of the garments and of their variants."""
@@ -206,8 +204,8 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
         return known
 
     def predict(self, batch: StitchBatch) -> list[Pattern]:
-        """The patterns with seams, and with subdivided edges where ``subdivide`` allows them."""
-        return sew(self.net, batch.patterns, subdivide=Subdivision() if self.subdivide else None)
+        """The patterns with seams."""
+        return sew(self.net, batch.patterns)
 
     def tables(self, split: Split, config: Config, out: Path, *, workers: int) -> dict[str, Any]:
         """The scores of seams: one to one, n to m, by kind, of other patterns (``stitching.evaluation``)."""

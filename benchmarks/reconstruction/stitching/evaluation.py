@@ -16,7 +16,7 @@ from benchmarks.reconstruction.judging import intervals, means_of
 from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
 from benchmarks.reconstruction.stitching.merging import Merged, merged
 from benchmarks.reconstruction.stitching.scores import StitchScore, score_intervals, score_stitches
-from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew, sew_in_ways
+from benchmarks.reconstruction.stitching.sewing import greedy_by_length, sew
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.files import make_folder
 from gcd_dataset.records import Pattern
@@ -40,21 +40,18 @@ def tables(net: "StitchNet", split: Split, out: Path, *, workers: int, examples:
     return {**found, **({"foreign": foreign(net, Path(examples))} if examples else {})}
 
 
-def calibrated(net: "StitchNet", patterns: Sequence[Pattern]) -> Subdivision:
-    """The subdivision of the best F1 of all seams for patterns that are neither trained on nor tested.
+def calibrated(net: "StitchNet", patterns: Sequence[Pattern]) -> float:
+    """The log-odds of subdivision of the best F1 of all seams for patterns that are neither trained on nor tested.
 
-    Their edges are joined wherever possible; where none can be, the usual subdivision is returned.
+    Their edges are joined wherever possible; where none can be, 0 is returned.
     """
     joined = [found for pattern in patterns if (found := merged(pattern)) is not None]
-    if not joined:
-        return Subdivision()
 
-    bare = [entry.pattern for entry in joined]
-    scored = {
-        way: np.mean([score_intervals(*pair).f1_symmetric for pair in zip(joined, answers, strict=True)])
-        for way, answers in sew_in_ways(net, bare, CUT_LOGITS)
-    }
-    return max(scored, key=lambda way: float(scored[way]))
+    def f1(logit: float) -> float:
+        answers = sew(net, [entry.pattern for entry in joined], cuts_above=logit)
+        return float(np.mean([score_intervals(*pair).f1_symmetric for pair in zip(joined, answers, strict=True)]))
+
+    return max(CUT_LOGITS, key=f1) if joined else 0.0
 
 
 def evaluate(
@@ -62,13 +59,13 @@ def evaluate(
     patterns: Sequence[Pattern],
     out: Path,
     workers: int,
-    way: Subdivision,
+    cuts_above: float,
     *,
     kinds: Sequence[str],
 ) -> dict[str, Any]:
     """The tables of stitches one to one, and n to m, beside the length-greedy baseline.
 
-    ``way``: how edges are subdivided for seams n to m. ``kinds``: kind of each garment.
+    ``cuts_above``: log-odds of the points at which edges are subdivided for seams n to m. ``kinds``: of the garments.
     """
     greedy = []
     for pattern in patterns:
@@ -76,7 +73,7 @@ def evaluate(
         greedy.append(with_seams(pattern, greedy_by_length(graph[torch.zeros(1, dtype=torch.long)])[0]))
     joined = [found for pattern in patterns if (found := merged(pattern)) is not None]
     ours = sew(net, patterns)
-    parted = sew(net, [entry.pattern for entry in joined], subdivide=way)
+    parted = sew(net, [entry.pattern for entry in joined], cuts_above=cuts_above)
     write(out / "several" / "predictions", parted)
     write(out / "several" / "truth", [entry.parts for entry in joined])
     pairs = [list(zip(patterns, answers, strict=True)) for answers in (ours, greedy)]
@@ -92,7 +89,7 @@ def evaluate(
         },
         "greedy_by_length": means_of(floor),
         "several": _table(several),
-        "subdivision": asdict(way),
+        "subdivision": {"logit": cuts_above},
     }
 
 

@@ -1,9 +1,9 @@
 """The seams of patterns, as a ``StitchNet`` predicts them in rounds, and the points at which it subdivides edges."""
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import networkx
 import numpy as np
@@ -35,86 +35,44 @@ REVISIONS = 3  # most times that needless points of subdivision are taken back
 ALIGNED = 0.04  # a cut moves by at most this share of the length to agree with the lengths that are sewn to it
 
 
-@dataclass(frozen=True, slots=True)
-class Subdivision:
-    """Options of the choice of points at which edges are subdivided."""
-
-    logit: float = 0.0
-    """Points of a greater log-odds are taken."""
-    revised: bool = False
-    """Whether points that separate no two seams are taken back, after which all seams are predicted again."""
-
-
 @torch.no_grad()
-def sew(net: "StitchNet", patterns: Sequence[Pattern], *, subdivide: Subdivision | None = None) -> list[Pattern]:
+def sew(net: "StitchNet", patterns: Sequence[Pattern], *, cuts_above: float | None = None) -> list[Pattern]:
     """The patterns with predicted seams instead of their own.
 
-    ``subdivide``: how edges are subdivided, for seams that join one edge to several; ``None``: no edge is. Rows are
-    shuffled, so that the order of panels, or of the edges in a loop, cannot help; it breaks ties between equally likely
-    seams.
+    ``cuts_above``: edges are subdivided at points of a greater log-odds, for seams that join one edge to several;
+    points that then separate no two seams are taken back, and the seams predicted again. ``None``: no edge is
+    subdivided. Rows are shuffled, so that the order of panels, or of the edges in a loop, cannot help; it breaks ties
+    between equally likely seams.
     """
-    if subdivide is None:
-        return _sewn(net, [replace(pattern, seams=()) for pattern in patterns])
-    found = _Parts.of(net, patterns, subdivide.logit)
-    return (found.revised() if subdivide.revised else found).patterns()
+    bare = [replace(pattern, seams=()) for pattern in patterns]
+    if cuts_above is None:
+        return _sewn(net, bare)
+    cuts = _cuts_of(net, bare, cuts_above)
+    parts = _sewn(net, [split(pattern, own) for pattern, own in zip(bare, cuts, strict=True)])
+    for _ in range(REVISIONS):
+        fewer = [needed(*three) for three in zip(bare, cuts, parts, strict=True)]
+        changed = [k for k, own in enumerate(fewer) if own != cuts[k]]
+        if not changed:
+            break
+        again = _sewn(net, [split(bare[k], fewer[k]) for k in changed])
+        cuts = list(fewer)
+        for k, pattern in zip(changed, again, strict=True):
+            parts[k] = pattern
+    return [_moved(*three) for three in zip(bare, cuts, parts, strict=True)]
 
 
-def sew_in_ways(
-    net: "StitchNet", patterns: Sequence[Pattern], logits: Sequence[float]
-) -> Iterator[tuple[Subdivision, list[Pattern]]]:
-    """Ways to subdivide edges, each with the patterns as ``sew`` returns them; for each of ``logits`` two."""
-    for logit in logits:
-        found = _Parts.of(net, patterns, logit)
-        yield Subdivision(logit), found.patterns()
-        yield Subdivision(logit, revised=True), found.revised().patterns()
-
-
-@dataclass(frozen=True)
-class _Parts:
-    """Patterns with subdivided edges, and the seams predicted for them."""
-
-    net: "StitchNet"
-    bare: Sequence[Pattern]
-    """The patterns without seams."""
-    cuts: Sequence[Cuts]
-    parts: Sequence[Pattern]
-    """The patterns subdivided at ``cuts``, with seams."""
-
-    @classmethod
-    @torch.no_grad()
-    def of(cls, net: "StitchNet", patterns: Sequence[Pattern], logit: float) -> Self:
-        """The patterns subdivided at points of a greater log-odds than ``logit``."""
-        bare = [replace(pattern, seams=()) for pattern in patterns]
-        cuts: list[Cuts] = []
-        for first in range(0, len(bare), BATCH):
-            some = bare[first : first + BATCH]
-            graphs = PackedGraphs.of([graph_of(pattern) for pattern in some]).to(_device(net))
-            found = predict_cuts(net, graphs[torch.arange(len(some))], logit=logit)
-            cuts += [
-                {ref: tuple(own[row]) for row, ref in enumerate(edge_refs(pattern)) if row in own}
-                for pattern, own in zip(some, found, strict=True)
-            ]
-        parts = _sewn(net, [split(pattern, own) for pattern, own in zip(bare, cuts, strict=True)])
-        return cls(net, bare, cuts, parts)
-
-    @torch.no_grad()
-    def revised(self) -> Self:
-        """Without needless points; the seams are predicted again."""
-        cuts, parts = list(self.cuts), list(self.parts)
-        for _ in range(REVISIONS):
-            fewer = [needed(*three) for three in zip(self.bare, cuts, parts, strict=True)]
-            changed = [k for k, own in enumerate(fewer) if own != cuts[k]]
-            if not changed:
-                break
-            again = _sewn(self.net, [split(self.bare[k], fewer[k]) for k in changed])
-            cuts = list(fewer)
-            for k, pattern in zip(changed, again, strict=True):
-                parts[k] = pattern
-        return replace(self, cuts=cuts, parts=parts)
-
-    def patterns(self) -> list[Pattern]:
-        """The patterns with seams, subdivided where the lengths of the seams agree."""
-        return [_moved(*three) for three in zip(self.bare, self.cuts, self.parts, strict=True)]
+def _cuts_of(net: "StitchNet", patterns: Sequence[Pattern], logit: float) -> list[Cuts]:
+    """The predicted points of subdivision of a greater log-odds."""
+    cuts: list[Cuts] = []
+    for first in range(0, len(patterns), BATCH):
+        some = patterns[first : first + BATCH]
+        graphs = PackedGraphs.of([graph_of(pattern) for pattern in some]).to(_device(net))
+        found = predict_cuts(net, graphs[torch.arange(len(some))], logit=logit)
+        cuts += [
+            {ref: tuple(own[row]) for row, ref in enumerate(edge_refs(pattern)) if row in own}
+            for pattern, own in zip(some, found, strict=True)
+        ]
+    return cuts
 
 
 def _moved(pattern: Pattern, cuts: Cuts, parts: Pattern) -> Pattern:

@@ -18,7 +18,7 @@ from benchmarks.reconstruction.stitching.scores import (
     score_intervals,
     score_stitches,
 )
-from benchmarks.reconstruction.stitching.sewing import best_pairs, greedy_by_length, sew, sew_in_ways
+from benchmarks.reconstruction.stitching.sewing import best_pairs, greedy_by_length, predict_cuts, sew
 from gcd_dataset.faults import check_pattern
 from gcd_dataset.records import EdgeRef, Pattern, Seam
 from tests.benchmarks.reconstruction.toys import (
@@ -159,18 +159,17 @@ def test_two_halves_that_a_straight_seam_joins_become_the_whole_panel() -> None:
     ).all()
 
 
-def test_ways_of_subdivision_are_those_of_one_way_each() -> None:
-    """A network that has learnt nothing subdivides all edges at so low a log-odds; needless cuts are taken back."""
+def test_needless_cuts_are_taken_back() -> None:
+    """A network that has learnt nothing subdivides all edges at so low a log-odds."""
     pattern = replace(tube(), seams=())
     torch.manual_seed(3)
     net = StitchNet(replace(SMALL, rounds=1)).eval()
-    several = list(sew_in_ways(net, [pattern], (0.0, -9.0)))
-    assert [(way.logit, way.revised) for way, _ in several] == [(0.0, False), (0.0, True), (-9.0, False), (-9.0, True)]
-    for way, (found,) in several:
-        assert found.seams == sew(net, [pattern], subdivide=way)[0].seams
-    counts = [sum(len(panel.edges) for panel in found.panels) for _, (found,) in several]
-    assert counts[2] > counts[0] == 16
-    assert counts[3] < counts[2]
+    with torch.no_grad():
+        [cuts] = predict_cuts(net, batch_of(pattern), logit=-9.0)
+    [whole], [parted] = sew(net, [pattern]), sew(net, [pattern], cuts_above=-9.0)
+    counts = [sum(len(panel.edges) for panel in found.panels) for found in (whole, parted)]
+    assert len(cuts) == counts[0] == 16
+    assert 16 < counts[1] < 16 + sum(map(len, cuts.values()))
 
 
 def test_intervals_of_the_truth_score_one_and_misplaced_ones_do_not() -> None:
