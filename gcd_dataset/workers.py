@@ -10,7 +10,8 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from itertools import chain, islice
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext
@@ -34,25 +35,33 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C, timeout and Slurm send them
 AHEAD = 2  # tasks submitted for each process, so that none is idle while the consumer is busy
 
 
-def parallel_map(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Iterator[Result]:
+@dataclass(frozen=True)
+class Pool:
+    """Processes that several calls of ``parallel_map`` share."""
+
+    executor: ProcessPoolExecutor
+    workers: int
+
+
+def parallel_map(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int | Pool) -> Iterator[Result]:
     """The results of the tasks, in order, from ``workers`` processes; with fewer than 2, from this process.
 
-    Raises ``GcdError`` if a worker is killed.
+    ``workers``: their number, or those of ``process_pool``. Raises ``GcdError`` if a worker is killed.
     """
-    if workers < 2:
+    if isinstance(workers, int) and workers < 2:
         yield from map(work, tasks)
         return
     waiting = iter(tasks)
     in_flight = deque[Future[Result]]()
-    with _process_pool(workers) as pool:
+    with nullcontext(workers) if isinstance(workers, Pool) else process_pool(workers) as pool:
 
         def submit(count: int) -> None:
             for task in islice(waiting, count):
                 with _starting():  # the pool starts its processes here
-                    in_flight.append(pool.submit(work, task))
+                    in_flight.append(pool.executor.submit(work, task))
 
         try:
-            submit(AHEAD * workers)
+            submit(AHEAD * pool.workers)
             while in_flight:
                 yield in_flight.popleft().result()
                 submit(1)
@@ -164,13 +173,13 @@ def _spawn_context() -> SpawnContext:
 
 
 @contextmanager
-def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool of processes that ignore Ctrl-C and end with the block, or with this process, even if it is killed."""
+def process_pool(workers: int) -> Iterator[Pool]:
+    """Processes that ignore Ctrl-C and end with the block, or with this process, even if it is killed."""
     context = _spawn_context()
     lifeline, parent_end = context.Pipe(duplex=False)
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=(lifeline,))
     try:
-        yield pool
+        yield Pool(pool, workers)
     finally:
         parent_end.close()
         pool.shutdown(wait=False, cancel_futures=True)

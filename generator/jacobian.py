@@ -10,7 +10,9 @@ though patterns and meshes differ: a point of a panel is carried to the other ou
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -28,13 +30,14 @@ from gcd_dataset.generator.garments.rules import DrawnGarment
 from gcd_dataset.generator.garments.space import leaves
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
 from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Outcome, Panel, Pattern
-from gcd_dataset.workers import parallel_map
+from gcd_dataset.workers import Pool, parallel_map
 
 STEP = 0.05  # of a parameter's range
 EACH = 12  # points of an edge to which material points are related
 NEAR = 6  # triangles among which the one at a material point is looked for
 PAIRS_EACH = 2  # pairs of drapes for each parameter
 FEWEST_PAIRS = 12
+CARRIED = 8  # drapes of a task of a worker
 ON_OUTLINE = 1e-3  # cm
 RIDGE = 1e-3  # of a variance: keeps parameters apart that changed alike
 
@@ -86,25 +89,37 @@ class DrapeJacobian:
     """Of the fitted linear map at the design [cm]: the mean of many drapes, smoother than ``drape``."""
     derivatives: Float[np.ndarray, "d v 3"]
     """Movement [cm] for a change by a parameter's whole range; divide by ``spans`` for centimetres per unit."""
-    drapes: int
-    """Drapes that were fitted."""
+    fitted: Sequence["Draped"]
+    """The drapes that were fitted, the first that of ``worn``."""
 
 
-def real_parameters(design: GarmentDesign, size: Measurements) -> tuple[str, ...]:
+class Draped(NamedTuple):
+    """A design, dressed, and its drape."""
+
+    design: GarmentDesign
+    worn: Worn
+    drape: Drape
+
+
+def real_parameters(design: GarmentDesign, size: Measurements, *, workers: int | Pool = 1) -> tuple[str, ...]:
     """The real parameters that change the pattern of a design for a wearer, by their paths.
 
-    Raises ``PatternError`` for a design that cannot be drawn.
+    ``workers``: processes that draw. Raises ``PatternError`` for a design that cannot be drawn.
     """
     drawn = DrawnGarment.of(size, design).pattern
-    tree, used, found = design_to_dict(design), design.sections_used() | {"left"}, []
-    for path, space in _reals().items():
-        if value_at(tree, path) is None or path.split(".")[0].replace("-", "_") not in used:
-            continue
-        inward = 0.02 if value_at(tree, path) < 0.5 * sum(space.range) else -0.02
-        with suppress(GcdError):
-            if not _is_same(drawn, DrawnGarment.of(size, moved(design, {path: inward})).pattern):
-                found.append(path)
-    return tuple(found)
+    tree, used = design_to_dict(design), design.sections_used() | {"left"}
+    some = [path for path in _reals() if path.split(".")[0].replace("-", "_") in used]
+    known = [path for path in some if value_at(tree, path) is not None]
+    changes = parallel_map(partial(_changes, design, size, drawn), known, workers)
+    return tuple(path for path, is_one in zip(known, changes, strict=True) if is_one)
+
+
+def _changes(design: GarmentDesign, size: Measurements, drawn: Pattern, path: str) -> bool:
+    """Whether a parameter, moved inwards, changes the drawn pattern."""
+    inward = 0.02 if value_at(design_to_dict(design), path) < 0.5 * sum(_reals()[path].range) else -0.02
+    with suppress(GcdError):
+        return not _is_same(drawn, DrawnGarment.of(size, moved(design, {path: inward})).pattern)
+    return False
 
 
 def moved(design: GarmentDesign, by: Mapping[str, float]) -> GarmentDesign:
@@ -120,6 +135,12 @@ def moved(design: GarmentDesign, by: Mapping[str, float]) -> GarmentDesign:
     return design_from_dict(tree)
 
 
+def choices_of(design: GarmentDesign) -> str:
+    """The same text for designs that differ in real parameters alone."""
+    tree = design_to_dict(design)
+    return repr(moved(design, {path: -1.0 for path in _reals() if value_at(tree, path) is not None}))
+
+
 def drape_jacobian(
     design: GarmentDesign,
     fitting: Fitting,
@@ -129,15 +150,15 @@ def drape_jacobian(
     pairs: int | None = None,
     seed: int = 0,
     device: str = "auto",
-    workers: int = 1,
+    workers: int | Pool = 1,
 ) -> DrapeJacobian:
     """Derivatives of the drape by ``parameters``, by default ``real_parameters``.
 
     ``step``: change of each parameter, as a share of its range. ``pairs``: of drapes (default: two for each parameter,
-    at least twelve). ``workers``: processes that draw, dress and mesh. Raises ``ConfigError`` for an unknown parameter,
-    ``DrapeError`` if the design or too many of its neighbours cannot be draped.
+    at least twelve). ``workers``: processes that draw, dress, mesh and carry points. Raises ``ConfigError`` for an
+    unknown parameter, ``DrapeError`` if the design or too many of its neighbours cannot be draped.
     """
-    names = tuple(parameters) if parameters is not None else real_parameters(design, fitting.size)
+    names = tuple(parameters) if parameters is not None else real_parameters(design, fitting.size, workers=workers)
     tree, known = design_to_dict(design), _reals()
     for name in names:
         if name not in known:
@@ -150,8 +171,8 @@ def drape_jacobian(
     count = pairs or max(PAIRS_EACH * len(names), FEWEST_PAIRS)
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (count, len(names)))
     places = np.clip(np.concatenate([centre[None], centre + step * signs, centre - step * signs]), 0.0, 1.0)
-    designs = [moved(design, dict(zip(names, by.tolist(), strict=True))) for by in places[1:] - centre]
-    worn = list(parallel_map(fitting.worn, [design, *designs], workers))
+    designs = [design, *(moved(design, dict(zip(names, by.tolist(), strict=True))) for by in places[1:] - centre)]
+    worn = list(parallel_map(fitting.worn, designs, workers))
     if worn[0] is None:
         raise DrapeError("the design cannot be drawn, placed or meshed for this wearer: change one of them")
     alike = [row for row, each in enumerate(worn) if each is not None and _alike(each.pattern, worn[0].pattern)]
@@ -165,8 +186,9 @@ def drape_jacobian(
             f"{len(settled)} of {len(places)} designs near this one settle, too few for {len(names)} parameters: take "
             "a smaller step, or more pairs"
         )
-    carrier = Carrier.of(worn[0])
-    carried = np.array([carrier.positions(worn[alike[k]], drapes[k]) for k in settled])  # type: ignore[arg-type]
+    fitted = [Draped(designs[alike[k]], worn[alike[k]], drapes[k]) for k in settled]  # type: ignore[arg-type]
+    parts = [fitted[first : first + CARRIED] for first in range(0, len(fitted), CARRIED)]
+    carried = np.array([*chain.from_iterable(parallel_map(partial(_carried, worn[0]), parts, workers))])
     at = places[[alike[k] for k in settled]]
     offsets, mean = at - at.mean(axis=0), carried.mean(axis=0)
     normal = offsets.T @ offsets + RIDGE * len(settled) * step**2 * np.eye(len(names))
@@ -174,7 +196,13 @@ def drape_jacobian(
         len(names), *mean.shape
     )
     positions = mean + np.tensordot(centre - at.mean(axis=0), derivatives, 1)
-    return DrapeJacobian(names, spans, worn[0], drapes[0], positions, derivatives, len(settled))
+    return DrapeJacobian(names, spans, worn[0], drapes[0], positions, derivatives, fitted)
+
+
+def _carried(base: Worn, part: Sequence[Draped]) -> list[Float[np.ndarray, "v 3"]]:
+    """The positions of the vertices of ``base`` in the drapes."""
+    carrier = Carrier.of(base)
+    return [carrier.positions(each.worn, each.drape) for each in part]
 
 
 # ------------------------------------------------------------------------------------------------------ material points

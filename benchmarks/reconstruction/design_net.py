@@ -191,12 +191,12 @@ class DesignDecoder(nn.Module):
         return {name: WEIGHTS[name] * part for name, part in parts.items()}
 
     @torch.no_grad()
-    def answers(self, *seen: Float[Tensor, "b t w"]) -> list["Answer"]:
+    def answers(self, *seen: Float[Tensor, "b t w"], noise: Tensor | float = 0.0) -> list["Answer"]:
         """The likeliest parameters and measures of each garment, on the CPU; ``seen``: tokens of several inputs of it,
-        whose outputs are averaged."""
+        whose outputs are averaged; ``noise``: added to the logits of the choices."""
         table = self._table()
         asked = [(*self._chosen(tokens), tokens) for tokens in seen]
-        logits = self._logits(torch.stack([said for _, said, _ in asked]).mean(dim=0)).log_softmax(dim=-1)
+        logits = self._logits(torch.stack([said for _, said, _ in asked]).mean(dim=0)).log_softmax(dim=-1) + noise
         rows = logits.argmax(dim=-1)
         joint = _OUTFITS.to(logits.device)
         likelihood = logits[:, META[0], joint[:, 0]] + logits[:, META[1], joint[:, 1]] + logits[:, META[2], joint[:, 2]]
@@ -292,7 +292,7 @@ def drawn(answer: Answer) -> Pattern:
 
     Tried in order: the design; repaired; with its numbers at their defaults; that on the usual body; a circle skirt.
     """
-    size, usual = _size(answer.measures), _size(answer.usual)
+    size, usual = size_of(answer.measures), size_of(answer.usual)
     design = decode_design(answer.codes)
     for number in range(5):
         pattern = _tried(design, size, usual, number)
@@ -322,7 +322,7 @@ def _with_defaults(design: GarmentDesign) -> GarmentDesign:
     return decode_design(np.where(is_number, np.nan, codes))
 
 
-def _size(measures: Float[np.ndarray, " m"]) -> Measurements:
+def size_of(measures: Float[np.ndarray, " m"]) -> Measurements:
     """The measures, with parts that are less than the whole."""
     values = dict(zip(MEASURES, measures.tolist(), strict=True))
     for whole, (first, *others) in PARTS:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset import __version__
-from gcd_dataset.cli import datasets, exchange, garment, generate, scoring, show
+from gcd_dataset.cli import datasets, exchange, garment, generate, reconstruct, scoring, show
 from gcd_dataset.cli.common import Parser, Stopped, interrupts_after_imports
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import discard_stdout, user_path
@@ -67,7 +67,7 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     parser = Parser(prog="gcd", description="Made-to-measure garments with their sewing patterns.")
     parser.add_argument("--version", action="version", version=f"gcd_dataset {__version__}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
-    for part in (generate, garment, show, scoring, datasets, exchange):
+    for part in (generate, garment, reconstruct, show, scoring, datasets, exchange):
         part.add_verbs(verbs)
     return parser, verbs.choices
 

@@ -274,6 +274,10 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
         "gcd grade design_params.yaml --chart women --out graded",
         "gcd grade design_params.yaml --chart sizes.toml --out graded --seam-allowance 1.5 --paper a0",
     ),
+    "reconstruct": (
+        "gcd reconstruct scan.ply --body female:7 --out found",
+        "gcd reconstruct t1/inputs/*.npy --proposals proposed --workers 16 --out answers",
+    ),
     "measure": ("gcd measure scan.obj --out measures.yaml", "gcd measure --shape random:7"),
     "show": ("gcd show shards --index 3 --html garment.html", "gcd show shirt_specification.json --svg pattern.svg"),
     "score": (

@@ -136,6 +136,28 @@ def read_shape(path: Path) -> Shape:
 
     Raises ``SpecError`` with the file and a remedy.
     """
+    points, faces = _read(path)
+    return MeshShape.of(points[:, :3], faces) if len(faces) else Cloud.of(points[:, :3])
+
+
+def read_points(path: Path, count: int) -> Float[np.ndarray, "n 6"]:
+    """Points [cm] and unit normals of a file that ``read_shape`` reads: ``count`` of a mesh, at most as many of points.
+
+    Points without normals get those of the planes through their neighbours, away from the vertical through their mean.
+    """
+    points, faces = _read(path)
+    if len(faces):
+        return sample_surface(points[:, :3], faces, count, np.random.default_rng(0))
+    points = points[np.random.default_rng(0).permutation(len(points))[:count]]
+    if points.shape[1] == 6:
+        return points
+    normals, outward = Cloud.of(points).normals, (points - points.mean(axis=0)) * [1.0, 0.0, 1.0]
+    sides = np.where(np.einsum("ni,ni->n", normals, outward) < 0, -1.0, 1.0)
+    return np.concatenate([points, sides[:, None] * normals], axis=1)
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Points, perhaps with normals, and faces, none for a cloud of points. Raises ``SpecError``."""
     try:
         open_regular(path).close()
         points, faces = _array(path) if path.suffix.lower() == ".npy" else _mesh(path)
@@ -146,16 +168,16 @@ def read_shape(path: Path) -> Shape:
         points = points[np.isfinite(points).all(axis=1)]  # points that a scan did not measure are NaN
     if len(points) < NEIGHBOURS or not np.isfinite(points).all():
         raise SpecError(f"{path}: {len(points)} points, or points that are not finite: export the input again")
-    if (extent := float(np.ptp(points, axis=0).max())) < SMALLEST:
+    if (extent := float(np.ptp(points[:, :3], axis=0).max())) < SMALLEST:
         raise SpecError(f"{path}: its largest extent is {extent:.3g}: inputs are in centimetres, so scale it by 100")
-    return MeshShape.of(points, faces) if len(faces) else Cloud.of(points)
+    return points, faces
 
 
 def _array(path: Path) -> tuple[np.ndarray, np.ndarray]:
     array = np.load(path, allow_pickle=False)
     if array.ndim != 2 or array.shape[1] not in (3, 6):
         raise ValueError(f"an array of shape {array.shape}, not (n, 3) or (n, 6)")
-    return array[:, :3].astype(float), np.zeros((0, 3), int)
+    return array.astype(float), np.zeros((0, 3), int)
 
 
 def _mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:

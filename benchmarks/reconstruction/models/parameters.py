@@ -211,8 +211,20 @@ class ParameterNet(Learner[Designs, Pattern]):
     @torch.no_grad()
     def _said(self, batch: Designs) -> list[Answer]:
         """Predictions from the stored points, in parts of as many as a step sees; a remainder is left out."""
-        several = torch.split(batch.points, self.config.points, dim=1)
-        return self.decoder.answers(*(self.tokens(part) for part in several if part.shape == several[0].shape))
+        return self.decoder.answers(*self._tokens(batch.points))
+
+    def _tokens(self, points: Float[Tensor, "b n 6"]) -> list[Float[Tensor, "b t w"]]:
+        several = torch.split(points, self.config.points, dim=1)
+        return [self.tokens(part) for part in several if part.shape == several[0].shape]
+
+    @torch.no_grad()
+    def proposals(self, points: Float[Tensor, "1 n 6"], count: int, chance: torch.Generator) -> list[Answer]:
+        """The likeliest answer for a garment's points, as ``Designs`` has them, then others, their choices drawn."""
+        shape = count, *(self.decoder.options.shape[:2])
+        noise = -(-torch.rand(shape, generator=chance).clamp(min=1e-9).log()).log()  # Gumbel: draws of the softmax
+        noise[0] = 0.0
+        tokens = [part.expand(count, -1, -1) for part in self._tokens(points)]
+        return self.decoder.answers(*tokens, noise=noise.to(points.device))
 
 
 def label_losses(said: Float[Tensor, "b t o"], labels: Float[Tensor, "b t m 3"]) -> dict[str, Tensor]:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.reconstruction.search import ScanPoints, main, on_scan
+from gcd_dataset.generator.search import ScanPoints, on_scan
 
 SIDE = 41  # vertices along each side of a sheet of 80 cm
 
@@ -40,8 +40,3 @@ def test_parameters_are_found_on_a_linear_map(partial: bool, known: int) -> None
     assert on_scan(jacobian, scan, step=0.1)[:known] == pytest.approx(
         [0.1, 0.1][:known], abs=0.025
     )  # the prior holds back
-
-
-def test_no_designs_are_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--count", "0"]) == 1
-    assert capsys.readouterr().err == "search: none of 0 designs can be draped: give --count or another --seed\n"

@@ -1,0 +1,155 @@
+"""``gcd reconstruct``: the pattern of a scan, by draping."""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gcd_dataset.cli.common import add_body, add_quiet, add_verb, natural_number, wearer_of
+from gcd_dataset.errors import ConfigError, DrapeError, SpecError
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.garments import GarmentDesign
+    from gcd_dataset.records import Body, BodyShape, Measurements
+
+POINTS = 8192  # of a scan
+DRAWN = 256  # random designs, where none are proposed
+DESIGNS, MEASURES = "*_design_params.yaml", "*_measurements.yaml"
+
+
+def add_verbs(verbs: Any) -> None:
+    """Add ``reconstruct``."""
+    verb = add_verb(
+        verbs, "reconstruct", _reconstruct, "find designs whose drapes lie on scans; exit 1 if one is not found"
+    )
+    verb.add_argument(
+        "scan",
+        nargs="+",
+        type=Path,
+        metavar="SCAN",
+        help="mesh or points of a garment [cm], y up, facing z: see gcd score",
+    )
+    verb.add_argument(
+        "--proposals",
+        type=Path,
+        metavar="DIR",
+        help=f"folder with a folder for each scan, named after its file: {DESIGNS}, tried first, and {MEASURES}, the "
+        f"wearer without --body (default: {DRAWN} random designs)",
+    )
+    verb.add_argument("--partial", action="store_true", help="a scan shows a part of its garment, such as one side")
+    add_body(verb, default=None)
+    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for patterns, drapes, report")
+    verb.add_argument(
+        "--resolution", type=float, default=2.0, metavar="CM", help="length of mesh edges [cm] (default: 2)"
+    )
+    verb.add_argument("--device", default="auto", help="auto, cpu or cuda:0 (default: auto)")
+    verb.add_argument("--workers", type=natural_number, default=0, metavar="K", help="processes (default: 0)")
+    add_quiet(verb)
+
+
+def _reconstruct(options: argparse.Namespace) -> int:
+    from tqdm.auto import tqdm
+
+    from gcd_dataset.files import make_folder, write_whole
+    from gcd_dataset.generator.drape import resolve_device
+    from gcd_dataset.generator.recipe import check_resolution
+    from gcd_dataset.workers import process_pool
+
+    resolve_device(options.device), check_resolution(options.resolution)
+    rows, folder = [], make_folder(options.out)
+    with process_pool(options.workers) if options.workers > 1 else nullcontext(1) as pool:
+        for scan in tqdm(options.scan, unit="scan", disable=options.quiet):
+            try:
+                row = _found(scan, options, pool)
+                apart = f"{row['mean_cm']:.2f} cm on average, 95 % within {row['p95_cm']:.2f} cm"
+                print(f"{scan.stem}: {apart}, {row['seconds']:.1f} s")
+            except (DrapeError, SpecError, ConfigError) as error:
+                row = {"error": str(error)}
+                print(f"gcd reconstruct: {error}", file=sys.stderr)
+            rows.append({"scan": str(scan), **row})
+            write_whole(folder / "report.json", (json.dumps({"scans": rows}, indent=1) + "\n").encode())
+    print(f"{folder}: patterns, designs, drapes and report.json")
+    return int(any("error" in row for row in rows))
+
+
+def _found(scan: Path, options: argparse.Namespace, pool: Any) -> dict[str, Any]:
+    """Search a scan's design and write it; the row of the report. Raises ``GcdError``."""
+    from gcd_dataset.generator.fitting import (
+        Refusal,
+        drape_patterns,
+        garment_name,
+        read_patterns,
+        write_drawn,
+        write_fitting,
+    )
+    from gcd_dataset.generator.garments.design import write_design
+    from gcd_dataset.generator.search import ScanPoints, search
+    from gcd_dataset.scoring.distances import Cloud, MeshShape, mean_and_p95, read_points
+
+    begun, points = time.perf_counter(), read_points(scan, POINTS)
+    designs, wearer, shape = _proposed(scan, options)
+    found = search(
+        ScanPoints.of(points, partial=options.partial), designs, wearer, resolution=options.resolution,
+        device=options.device, workers=pool,
+    )  # fmt: skip
+    seconds, design, name = time.perf_counter() - begun, found.drape.design, garment_name(scan)
+    spec, rejects = write_drawn(design, wearer(False)[1], options.out, source=scan)
+    write_design(design, options.out / f"{name}_design_params.yaml")
+    if shape is not None:
+        _write_body(shape, options.out / name)
+    [fitting] = drape_patterns(read_patterns([spec]), wearer, resolution=options.resolution, device=options.device)
+    if isinstance(fitting, Refusal):
+        raise DrapeError(f"{scan}: {fitting.reason}")
+    write_fitting(fitting, options.out, device=options.device)
+    surface = MeshShape.of(fitting.drape.vertices, fitting.box_mesh.faces)
+    mean, p95 = mean_and_p95(Cloud.of(points[:, :3]), surface, both_ways=not options.partial)
+    return {
+        "mean_cm": round(mean, 3), "p95_cm": round(p95, 3), "outcome": fitting.drape.outcome.name,
+        "remarks": [str(reject) for reject in rejects], "seconds": round(seconds, 1),
+    }  # fmt: skip
+
+
+def _proposed(
+    scan: Path, options: argparse.Namespace
+) -> "tuple[Iterator[GarmentDesign], Callable[[bool], tuple[Body, Measurements]], BodyShape | None]":
+    """Designs to begin with, the wearer, and its shape if it was found from measures. Raises ``GcdError``."""
+    from gcd_dataset.bodyfiles import read_measurements
+    from gcd_dataset.generator.body import build_body, fit_shape, measure
+    from gcd_dataset.generator.garments import read_design
+    from gcd_dataset.generator.garments.sampling import attempted_design
+
+    folder = options.proposals and options.proposals / scan.stem
+    files = sorted(folder.glob(DESIGNS)) if folder else []
+    if folder and not files:
+        raise ConfigError(f"{folder}: no {DESIGNS}: propose designs for {scan}, or leave --proposals out")
+    measures = sorted(folder.glob(MEASURES)) if folder else []
+    shape = fit_shape(read_measurements(measures[0])).shape if measures and options.body is None else None
+    wearer = wearer_of(argparse.Namespace(**{**vars(options), "body": options.body or "neutral"}))
+    if shape is not None:
+        bodies = [build_body(replace(shape, legs_apart=apart)) for apart in (False, True)]
+        fitted = measure(bodies[False])
+        wearer = lambda legs_apart: (bodies[legs_apart], fitted)  # noqa: E731
+    if files:
+        return map(read_design, files), wearer, shape
+    size = wearer(False)[1]
+    return (attempted_design(0, number, 0, (size,)).design for number in range(DRAWN)), wearer, shape
+
+
+def _write_body(shape: "BodyShape", stem: Path) -> None:
+    """The weights and the pose, as ``gcd score`` reads them."""
+    import io
+
+    import numpy as np
+
+    from gcd_dataset.files import write_whole
+
+    content = io.BytesIO()
+    np.save(content, shape.weights)
+    write_whole(stem.with_name(f"{stem.name}.npy"), content.getvalue())
+    pose = json.dumps({"pose": {"arm_angle": shape.arm_angle}})
+    write_whole(stem.with_name(f"{stem.name}.meta.json"), pose.encode())

@@ -1,0 +1,250 @@
+"""Search by draping: a design whose drape lies on a scan.
+
+Proposed designs are draped at once. The nearest to the scan are refined: ``drape_jacobian`` gives a linear map from
+their real parameters to their drape, which Gauss-Newton steps bring onto the scan, and the next map is made at the
+nearest drape of all. Choices, such as the kind of a sleeve, stay those of the proposal. Drapes of equal patterns but
+for millimetres fold in different ways, so the last rounds look among such neighbours for the folds of the scan.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+from trimesh.triangles import closest_point, points_to_barycentric
+
+from gcd_dataset.errors import DrapeError, PatternError
+from gcd_dataset.generator.drape import drape_batch
+from gcd_dataset.generator.garments import GarmentDesign
+from gcd_dataset.generator.jacobian import (
+    NEAR,
+    Draped,
+    DrapeJacobian,
+    Fitting,
+    Worn,
+    choices_of,
+    drape_jacobian,
+    moved,
+    real_parameters,
+)
+from gcd_dataset.records import Body, Measurements, Outcome
+from gcd_dataset.workers import Pool, parallel_map, process_pool
+
+SAMPLES = 1024  # points of the scan that are compared
+ROUNDS = ((4, 0.08), (2, 0.05), (1, 0.05), (1, 0.03), (1, 0.02), (1, 0.01), (1, 0.005))
+"""Designs that a round refines, the nearest of different choices, and the change of their parameters [of a range]."""
+PAIRS = 40  # pairs of drapes of a design in a round
+SHARES = (1.0, 0.5, 0.25)  # of the change that brings the linear map onto the scan: all are draped
+REACH = 2.0  # steps that a parameter may move in a round
+INNER = 12  # Gauss-Newton steps on a linear map
+SURE = 1.0  # cm: distances beyond count with their square root, since other folds lie there
+PRIOR = 0.02  # weight of a parameter's step beside the mean of its curvatures
+PLANE = 1.5  # spacings of the scan's points within which it is a plane
+AT_ONCE = 8  # designs or drapes of a task of a worker
+
+Wearer = Callable[[bool], tuple[Body, Measurements]]
+"""The body, with straight legs or legs apart, and its measures."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPoints:
+    """Points of a garment's surface [cm] with normals; those of a part of it if ``partial``."""
+
+    points: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    tree: cKDTree
+    spacing: float
+    partial: bool = False
+
+    @staticmethod
+    def of(points: Float[np.ndarray, "n 6"], *, partial: bool = False) -> "ScanPoints":
+        """Points and unit normals, in rows."""
+        tree = cKDTree(points[:, :3])
+        apart, _ = tree.query(points[:, :3], k=4)
+        return ScanPoints(points[:, :3], points[:, 3:], tree, float(np.median(apart[:, 1:])), partial)
+
+
+class Found(NamedTuple):
+    """A design, its drape, and the mean distance of scan and drape [cm], both ways unless the scan is a part."""
+
+    drape: Draped
+    distance: float
+
+
+def search(
+    scan: ScanPoints,
+    proposals: Iterable[GarmentDesign],
+    wearer: Wearer,
+    *,
+    rounds: Sequence[tuple[int, float]] = ROUNDS,
+    pairs: int = PAIRS,
+    resolution: float = 2.0,
+    device: str = "auto",
+    workers: int = 1,
+) -> Found:
+    """The design whose drape is nearest to the scan: of the proposals, and of those that the rounds find near these.
+
+    ``rounds``: see ``ROUNDS``. ``pairs``: of drapes for each design of a round. ``resolution``: edges of the meshes
+    [cm]. ``workers``: processes beside the device. Raises ``DrapeError`` if no proposal can be draped.
+    """
+    with process_pool(workers) if workers > 1 else nullcontext(workers) as pool:
+        work = _Search(scan, wearer, pairs, resolution, device, pool)
+        found = work.draped(proposals)
+        if not found:
+            raise DrapeError("none of the proposed designs can be drawn, meshed and draped on this body")
+        best = _of_each_choice(found)
+        for number, (count, step) in enumerate(rounds):
+            best = _of_each_choice([near for each in best[:count] for near in work.refined(each, step, number)])
+    return best[0]
+
+
+@dataclass
+class _Search:
+    """Drapes designs, and compares them with the scan."""
+
+    scan: ScanPoints
+    wearer: Wearer
+    pairs: int
+    resolution: float
+    device: str
+    pool: int | Pool
+    names: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """The real parameters of designs with the same choices."""
+
+    @cached_property
+    def fittings(self) -> tuple[Fitting, Fitting]:
+        """With straight legs, and with legs apart."""
+        straight, apart = (Fitting(*self.wearer(are_apart), self.resolution) for are_apart in (False, True))
+        return straight, apart
+
+    def draped(self, designs: Iterable[GarmentDesign]) -> list[Found]:
+        """The designs that can be drawn, and whose drapes settle, with their distances."""
+        every = list(designs)
+        worn = self._mapped(partial(_worn, self.fittings), every)
+        drawn = [(design, each) for design, each in zip(every, worn, strict=True) if each is not None]
+        jobs = []
+        for design, each in drawn:  # workers return copies of the body
+            own = _fitting(self.fittings, design)
+            jobs.append(replace(each.job, body=own.body, measurements=own.size))
+        drapes = drape_batch(jobs, device=self.device)
+        return self.compared(Draped(*pair, drape) for pair, drape in zip(drawn, drapes, strict=True))
+
+    def compared(self, drapes: Iterable[Draped]) -> list[Found]:
+        """The settled drapes with their distances from the scan."""
+        settled = [each for each in drapes if each.drape.outcome is Outcome.SETTLED]
+        meshes = [(each.drape.vertices, each.worn.job.box_mesh.faces) for each in settled]
+        apart = self._mapped(partial(_distances, self.scan), meshes)
+        return [Found(*pair) for pair in zip(settled, apart, strict=True)]
+
+    def refined(self, start: Found, step: float, seed: int) -> list[Found]:
+        """The start, its neighbours, and the designs that the linear map brings onto the scan."""
+        design = start.drape.design
+        fitting, choices = _fitting(self.fittings, design), choices_of(design)
+        if choices not in self.names:
+            self.names[choices] = real_parameters(design, fitting.size, workers=self.pool)
+        names = self.names[choices]
+        try:
+            found = drape_jacobian(
+                design, fitting, names, step=step, pairs=max(self.pairs, len(names)), seed=seed, device=self.device,
+                workers=self.pool,
+            )  # fmt: skip
+        except (DrapeError, PatternError):
+            return [start]
+        change = dict(zip(names, on_scan(found, self.scan, step).tolist(), strict=True))
+        tried = [moved(design, {name: share * by for name, by in change.items()}) for share in SHARES]
+        return [start, *self.compared(found.fitted), *self.draped(tried)]
+
+    def _mapped(self, work: Callable[[Sequence[Any]], list[Any]], items: Sequence[Any]) -> list[Any]:
+        parts = [items[first : first + AT_ONCE] for first in range(0, len(items), AT_ONCE)]
+        return [one for part in parallel_map(work, parts, self.pool) for one in part]
+
+
+def _fitting(fittings: tuple[Fitting, Fitting], design: GarmentDesign) -> Fitting:
+    return fittings[design.meta.bottom is not None and design.meta.bottom.garment.legs]
+
+
+def _worn(fittings: tuple[Fitting, Fitting], part: Sequence[GarmentDesign]) -> list[Worn | None]:
+    return [_fitting(fittings, design).worn(design) for design in part]
+
+
+def _distances(scan: ScanPoints, part: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[float]:
+    return [distance_to(scan, *mesh) for mesh in part]
+
+
+def _of_each_choice(found: Iterable[Found]) -> list[Found]:
+    """The nearest of each set of choices, nearest first."""
+    nearest: dict[str, Found] = {}
+    for each in sorted(found, key=lambda each: each.distance):
+        nearest.setdefault(choices_of(each.drape.design), each)
+    return list(nearest.values())
+
+
+def distance_to(scan: ScanPoints, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> float:
+    """The mean distance of scan and drape [cm]."""
+    some = scan.points[:SAMPLES]
+    closest, *_ = _closest(vertices[faces], some)
+    ways = [np.linalg.norm(closest - some, axis=1).mean()]
+    if not scan.partial:
+        ways.append(np.linalg.norm(_to_scan(scan, vertices)[0], axis=1).mean())
+    return float(np.mean(ways))
+
+
+def on_scan(jacobian: DrapeJacobian, scan: ScanPoints, step: float) -> Float[np.ndarray, " d"]:
+    """The change of the parameters, in shares of their ranges, that brings the linear map onto the scan."""
+    faces, derivatives = jacobian.worn.job.box_mesh.faces, jacobian.derivatives
+    some = scan.points[:SAMPLES]
+    change = np.zeros(len(derivatives))
+    for _ in range(INNER):
+        place = jacobian.positions + np.tensordot(change, derivatives, 1)
+        closest, face, shares = _closest(place[faces], some)
+        normals = np.cross(place[faces[face, 1]] - place[faces[face, 0]], place[faces[face, 2]] - place[faces[face, 0]])
+        residuals, ways = _directed(closest - some, normals)
+        moves = np.einsum("dnci,nc->dni", derivatives[:, faces[face]], shares)
+        rows = [(residuals, np.einsum("dni,ni->dn", moves, ways), 1.0)]
+        if not scan.partial:
+            apart, near = _to_scan(scan, place)
+            residuals, ways = _directed(apart, scan.normals[near])
+            rows.append((residuals, np.einsum("dni,ni->dn", derivatives, ways), len(some) / len(place)))
+        curvature, slope = np.zeros((len(change), len(change))), np.zeros(len(change))
+        for residuals, jac, share in rows:
+            weights = share / np.maximum(np.abs(residuals), SURE)
+            curvature += (jac * weights) @ jac.T
+            slope += (jac * weights) @ residuals
+        prior = PRIOR * np.trace(curvature) / len(change)
+        shift = np.linalg.solve(curvature + prior * np.eye(len(change)), -slope - prior * change)
+        change = np.clip(change + shift, -REACH * step, REACH * step)
+    return change
+
+
+def _directed(apart: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Distances and their directions; of points that touch, along the normal."""
+    length = np.linalg.norm(apart, axis=1)
+    unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    ways = np.where((length < 0.05)[:, None], unit, apart / np.maximum(length, 1e-12)[:, None])
+    return np.einsum("ni,ni->n", apart, ways), ways
+
+
+def _to_scan(scan: ScanPoints, places: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """From the scan's surface to each place, and the scan's nearest point; the surface is a plane near its points."""
+    _, near = scan.tree.query(places)
+    apart = places - scan.points[near]
+    normals = scan.normals[near]
+    above = np.einsum("ni,ni->n", apart, normals)[:, None] * normals
+    beside = np.linalg.norm(apart - above, axis=1) > PLANE * scan.spacing
+    return np.where(beside[:, None], apart, above), near
+
+
+def _closest(
+    triangles: Float[np.ndarray, "f 3 3"], points: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+    """Nearest point, its triangle and its barycentric coordinates."""
+    _, near = cKDTree(triangles.mean(axis=1)).query(points, k=NEAR)
+    found = closest_point(triangles[near.ravel()], np.repeat(points, NEAR, axis=0)).reshape(*near.shape, 3)
+    best = np.linalg.norm(found - points[:, None], axis=2).argmin(axis=1)
+    row = np.arange(len(points))
+    face, place = near[row, best], found[row, best]
+    return place, face, points_to_barycentric(triangles[face], place)
