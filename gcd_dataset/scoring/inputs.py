@@ -25,9 +25,10 @@ from gcd_dataset.jsonfile import JsonPath, read_json
 from gcd_dataset.making.progress import Progress, ProgressCallback
 from gcd_dataset.patternhash import PatternHash, hash_pattern
 from gcd_dataset.scoring.bodies import read_weights
+from gcd_dataset.scoring.joining import joined
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import key_of
-from gcd_dataset.spec import read_pattern
+from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
 from gcd_dataset.tensors import encode_pattern
 
 if TYPE_CHECKING:
@@ -93,6 +94,12 @@ def _pictures(item: "Item", stem: Path) -> None:
         Image.fromarray(pixels).save(stem.with_name(f"{stem.name}_{number}.png"))
 
 
+def _joined_panels(item: "Item", stem: Path) -> None:
+    """The panels with edges joined as a tailor draws them."""
+    pattern = pattern_from_spec(item["spec"], stem.name)
+    _panels({**item, "spec": {**item["spec"], "pattern": spec_from_pattern(joined(pattern))["pattern"]}}, stem)
+
+
 def _panels(item: "Item", stem: Path) -> None:
     """The panels in random order under neutral names, without seams and labels."""
     spec = item["spec"]
@@ -118,15 +125,15 @@ def _pictured() -> "Transform":
 
 
 DRAPED = {"drape": "warp", "points": POINTS}
+PATTERN = {"drape": None, "stage": "pattern"}
 TASKS: Mapping[str, BoardTask] = {
     task.name: task
     for task in (
         BoardTask("T1", f"NAME.npy: {POINTS} points of the draped garment and normals (n, 6) [cm]", _points, DRAPED),
         BoardTask("T1-scan", "NAME.npy: points that one depth camera measures (n, 6) [cm]", _scan, DRAPED, _scanned),
         BoardTask("T2", f"NAME_0.png to NAME_{PICTURES - 1}.png: rendered pictures", _pictures, DRAPED, _pictured),
-        BoardTask(
-            "T3", "NAME.json: the panels in random order, without seams", _panels, {"drape": None, "stage": "pattern"}
-        ),
+        BoardTask("T3", "NAME.json: the panels in random order, edges joined, without seams", _joined_panels, PATTERN),
+        BoardTask("T3-subdivided", "NAME.json: the same, edges subdivided where seams end", _panels, PATTERN),
     )
 }
 

@@ -16,7 +16,8 @@ def result(path: Path, name: str, right: float, *, truth: str = "t", **model: An
     card = {"name": name, "garments": 4000, "minutes": 8.0, "weights": 10**6, "hardware": "one GPU", **model}
     figures = {score: {"mean": right, "low": right - 0.1, "high": right + 0.1} for score in ("combinatorial", "iou")}
     settings = {"task": "T1", "mini": True, "device": "CPU", "hashes": {"truth": truth}}
-    tree = {"schema": 1, "model": card, "settings": settings, "figures": figures, "garments": [{"name": "a"}]}
+    tree = {"schema": 1, "model": card, "settings": settings, "figures": figures}
+    tree["garments"] = [{"name": name, "combinatorial": right + apart} for name, apart in (("a", 0.1), ("b", -0.1))]
     path.write_text(json.dumps(tree))
     return path
 
@@ -36,6 +37,22 @@ def test_only_equal_budgets_are_ranked(tmp_path: Path) -> None:
     assert rows[1][2] == "0.700 [0.600, 0.800]"
 
 
+def test_seeds_of_a_model_are_one_row(tmp_path: Path) -> None:
+    """Its figures are the mean, the lowest and the highest of the seeds; a file given twice counts once."""
+    files = [result(tmp_path / f"{k}.json", "net", 0.5 + 0.1 * k) for k in range(3)]
+    (row,) = [line for line in tables([*files, files[0]]).splitlines() if "one GPU" in line]
+    assert "| 0.600 [0.500, 0.700] |" in row
+    assert row.endswith("| one GPU | 3 |")
+
+
+def test_models_are_compared_by_garment(tmp_path: Path) -> None:
+    """Both models find garment b harder, so that their difference is surer than their means."""
+    files = [result(tmp_path / "a.json", "one", 0.6), result(tmp_path / "b.json", "other", 0.55)]
+    first, second = (line for line in tables(files).splitlines() if "one GPU" in line)
+    assert "|  | 4,000" in first
+    assert "| -0.050 [-0.050, -0.050] | 4,000" in second
+
+
 def test_drapes_of_a_cpu_and_of_a_gpu_share_no_table(tmp_path: Path) -> None:
     files = [result(tmp_path / f"{kind}.json", kind, 0.5) for kind in ("CPU", "GPU")]
     for path in files:
@@ -44,7 +61,7 @@ def test_drapes_of_a_cpu_and_of_a_gpu_share_no_table(tmp_path: Path) -> None:
         path.write_text(json.dumps(tree))
     heads = [line for line in tables(files).splitlines() if line.startswith("## ")]
     assert heads == [
-        f"## T1: 1 garments (mini), inputs draped on a CPU, answers on a {kind}" for kind in ("CPU", "GPU")
+        f"## T1: 2 garments (mini), inputs draped on a CPU, answers on a {kind}" for kind in ("CPU", "GPU")
     ]
 
 
@@ -68,6 +85,7 @@ def test_results_on_other_patterns_share_no_table(tmp_path: Path, capsys: pytest
         ({"model": []}, "model must be a JSON object"),
         ({"figures": {"iou": {"mean": None}}}, "mean of iou must be a number, found nothing"),
         ({"garments": 5}, "garments must be a list, found 5"),
+        ({"garments": [{"name": "a"}]}, "combinatorial of garment a must be a number"),
     ],
 )
 def test_results_that_cannot_be_read(

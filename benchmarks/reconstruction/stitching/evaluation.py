@@ -41,12 +41,21 @@ CUT_LOGITS = (0.0, -0.7, -1.4, -2.1, -2.8)  # log-odds of points of subdivision 
 def tables(net: "StitchNet", split: Split, out: Path, *, workers: int, examples: str) -> dict[str, Any]:
     """The tables of seams one to one and n to m, beside the length-greedy baseline; of ``examples``, if given.
 
-    The check garments choose how edges are subdivided for seams n to m. Writes the predicted and the true
-    specifications of joined edges into folders of ``out``. Raises ``ConfigError`` for unreadable examples.
+    The check garments choose how edges are subdivided for seams n to m. Writes the answers to joined edges into the
+    folder ``predictions`` of ``out``, those to edges as drawn into ``subdivided``. Raises ``ConfigError`` for
+    unreadable examples.
     """
     tests, checks = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
     found = evaluate(net, tests, out, workers, calibrated(net, checks), kinds=split.test.kinds)
-    return {**found, **({"foreign": foreign(net, Path(examples))} if examples else {})}
+    found |= {"foreign": foreign(net, Path(examples))} if examples else {}
+    parts = {"joined": "several", "subdivided": "one_to_one", "freesewing": "foreign"}
+    scores = {
+        f"{part}_{score}": found[table][f"{score}_symmetric"]
+        for part, table in parts.items()
+        for score in ("perfect", "f1")
+        if found.get(table)
+    }
+    return {"scores": scores, **found}
 
 
 def calibrated(net: "StitchNet", patterns: Sequence[Pattern]) -> Subdivision:
@@ -84,11 +93,15 @@ def evaluate(
         graph = PackedGraphs.of([graph_of(replace(pattern, seams=()))])
         greedy.append(with_seams(pattern, greedy_by_length(graph[torch.zeros(1, dtype=torch.long)])[0]))
     rng = np.random.default_rng(0)
-    joined = [found for pattern in patterns if (found := merged(pattern)) is not None]
-    at_once, ours = sew(net, patterns, rounds=1), sew(net, patterns)
-    parted = sew(net, [entry.pattern for entry in joined], subdivide=way)
-    write(out / "several" / "predictions", parted)
-    write(out / "several" / "truth", [entry.parts for entry in joined])
+    entries = [merged(pattern) for pattern in patterns]
+    given = [pattern if entry is None else entry.pattern for pattern, entry in zip(patterns, entries, strict=True)]
+    at_once, ours, sewn = sew(net, patterns, rounds=1), sew(net, patterns), sew(net, given, subdivide=way)
+    for folder, answers in (("predictions", sewn), ("subdivided", ours)):
+        make_folder(out / folder)
+        for answer in answers:
+            write_pattern(answer, out / folder / f"{answer.name}.json")
+    joined = [entry for entry in entries if entry is not None]
+    parted = [answer for answer, entry in zip(sewn, entries, strict=True) if entry is not None]
     pairs = [list(zip(patterns, answers, strict=True)) for answers in (ours, at_once, greedy)]
     scores, first, floor = (list(parallel_map(_scored, some, workers)) for some in pairs)
     several = list(parallel_map(_interval_scored, zip(joined, parted, strict=True), workers))
@@ -124,14 +137,6 @@ def foreign(net: "StitchNet", folder: Path) -> dict[str, Any]:
     scores = [_score(true, own) for true, own in zip(patterns, found, strict=True)]
     each = [{"name": pattern.name, **asdict(score)} for pattern, score in zip(patterns, scores, strict=True)]
     return {**_table(scores), "unreadable": unreadable, "each": each}
-
-
-def write(folder: Path, patterns: Sequence[Pattern]) -> None:
-    """Write the specifications of patterns for the evaluator; files of an earlier run are removed."""
-    for old in make_folder(folder).glob("*_?????????_specification.json"):
-        old.unlink()
-    for pattern in patterns:
-        write_pattern(pattern, folder / f"{pattern.name}_specification.json")
 
 
 def _moved_truth(pattern: Pattern, rng: np.random.Generator) -> StitchScore:

@@ -16,7 +16,6 @@ from torch import nn
 
 from benchmarks.reconstruction.stitching.graphs import (
     CUT_BINS,
-    MAX_CUTS,
     EdgeBatch,
     PackedGraphs,
     edge_refs,
@@ -25,6 +24,7 @@ from benchmarks.reconstruction.stitching.graphs import (
 )
 from benchmarks.reconstruction.stitching.merging import Cuts, aligned, needed, split
 from gcd_dataset.records import Pattern
+from gcd_dataset.scoring.joining import MAX_CUTS
 
 if TYPE_CHECKING:
     from benchmarks.reconstruction.stitching.net import StitchNet

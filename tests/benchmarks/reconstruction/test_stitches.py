@@ -1,14 +1,12 @@
 """The network of stitches: its invariances, its training, and how its scores become pairs of edges."""
 
 from dataclasses import astuple, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from benchmarks.reconstruction.stitching.edge_shapes import next_on_boundary
-from benchmarks.reconstruction.stitching.evaluation import write
 from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
 from benchmarks.reconstruction.stitching.losses import revealed
 from benchmarks.reconstruction.stitching.merging import aligned, glued, merged, split
@@ -226,13 +224,3 @@ def test_every_symmetry_of_the_truth_is_right(seed: int) -> None:
     assert score_stitches(graph, cycle).perfect_symmetric == 1.0
     two_rings = [(4 * a + 1, 4 * b + 3) for a, b in ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3))]
     assert score_stitches(graph, two_rings).perfect_symmetric == 0.0
-
-
-def test_answers_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
-    patterns = [replace(t_shirt(), name=f"1_{k:09d}") for k in range(3)]
-    (tmp_path / "own.json").write_text("{}")
-    write(tmp_path, patterns)
-    write(tmp_path, patterns[:2])
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "1_000000000_specification.json", "1_000000001_specification.json", "own.json",
-    ]  # fmt: skip
