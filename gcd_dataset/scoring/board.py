@@ -119,6 +119,7 @@ def _table(task: str, mini: bool, devices: str, results: Sequence[tuple[Path, di
             raise SpecError(f"{path}: other true patterns than {first[0]}: make both again with this version")
     columns = [name for name in COLUMNS if any(name in result["figures"] for _, result in results)]
     headline = HEADLINES.get(task, STRICT if STRICT in columns else COMBINATORIAL)
+    columns.sort(key=lambda name: name != headline)
     models = defaultdict[str, list[dict[str, Any]]](list)
     for _, result in results:
         own = models[json.dumps(result["model"], sort_keys=True)]

@@ -12,8 +12,11 @@ so that scores of the two are tabled apart. The few garments whose drape does no
 
 import hashlib
 import json
+import re
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +43,7 @@ RESOLUTION = 2.0  # cm: edges of the meshes
 POINTS = 8192
 SCAN_SIZE = 320  # pixels of the depth camera along each side
 PICTURES, PICTURE_SIZE = 4, 128  # of a garment; pixels along each side
+PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".webp")
 TASK = "task.json"
 WEIGHT_STEP = 1e-4  # weights of bodies are rounded before they are hashed
 FROZEN: Mapping[bool, Mapping[str, str]] = {
@@ -267,6 +271,34 @@ def write_inputs(
     folder.require_frozen()
     _write_json(out / TASK, {**tree, "finished": True, "hashes": FROZEN[mini]})
     return folder
+
+
+def lay_out_pictures(photographs: Path, out: Path) -> list[str]:
+    """Lay out a folder of photographs as inputs of T2; the names of the garments. There is no truth to score with.
+
+    ``NAME_0.jpg``, ``NAME_1.jpg`` … show one garment, ``NAME.jpg`` one alone. The whole picture is kept, in a white
+    square; fewer than ``PICTURES`` are repeated. Raises ``ConfigError`` for a folder without pictures, or one that
+    cannot be read.
+    """
+    from PIL import Image, ImageOps
+
+    found = defaultdict[str, list[Path]](list)
+    for path in sorted(photographs.glob("*")):
+        if path.suffix.lower() in PHOTOGRAPHS:
+            found[re.sub(r"_\d+$", "", path.stem)].append(path)
+    if not found:
+        raise ConfigError(f"{photographs}: no pictures: give a folder of {', '.join(PHOTOGRAPHS)} files")
+    inputs = make_folder(out / "inputs")
+    for name, paths in found.items():
+        for number, path in zip(range(PICTURES), cycle(paths), strict=False):
+            try:
+                with Image.open(path) as image:
+                    upright = ImageOps.exif_transpose(image).convert("RGB")
+            except (OSError, Image.DecompressionBombError) as error:
+                raise ConfigError(f"{path}: cannot be read ({error}): give another picture") from error
+            square = ImageOps.pad(upright, (PICTURE_SIZE, PICTURE_SIZE), color="white")
+            square.save(inputs / f"{name}_{number}.png")
+    return list(found)
 
 
 def _write_json(path: Path, tree: Any) -> None:

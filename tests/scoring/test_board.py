@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from gcd_dataset.cli import main
 from gcd_dataset.scoring.board import read_card, tables
@@ -131,6 +132,28 @@ def test_cards_that_cannot_be_used(card: str, fault: str, tmp_path: Path, capsys
     assert f"model.toml: {fault}" in capsys.readouterr().err
     path.write_text(CARD)
     assert read_card(path)["minutes"] == 8
+
+
+def test_photographs_are_laid_out_as_pictures_of_t2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two of one garment, one of another, which is red and upright in a white square."""
+    photographs, out = tmp_path / "photographs", tmp_path / "out"
+    photographs.mkdir()
+    for name in ("coat_0.jpg", "coat_1.png", "shirt.jpg"):
+        Image.new("RGB", (300, 600), "red").save(photographs / name)
+    command = ["bench", "inputs", "T2", str(out), "--pictures", str(photographs)]
+    assert main(command) == 0
+    names = [f"{name}_{k}.png" for name in ("coat", "shirt") for k in range(4)]
+    assert sorted(path.name for path in (out / "inputs").iterdir()) == names
+    with Image.open(out / "inputs" / "shirt_3.png") as image:
+        assert image.size == (128, 128)
+        assert image.getpixel((0, 64)) == (255, 255, 255)
+        assert image.getpixel((64, 64))[0] > 250 > 20 > image.getpixel((64, 64))[1]  # type: ignore[index]
+    (photographs / "bad.png").write_text("x")
+    assert main(command) == 2
+    assert "bad.png: cannot be read" in capsys.readouterr().err
+    assert main([*command[:-1], str(tmp_path / "none")]) == 2
+    assert "none: no pictures: give a folder of .jpg" in capsys.readouterr().err
+    assert main(["bench", "inputs", "T1", str(out), "--pictures", str(photographs)]) == 2
 
 
 def test_a_task_that_is_unknown_or_unfinished(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
