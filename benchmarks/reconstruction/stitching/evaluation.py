@@ -4,42 +4,42 @@ One to one: edges subdivided as drawn. N to m: edges joined wherever possible, s
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, astuple, fields, replace
+from dataclasses import asdict, astuple, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import torch
 
 from benchmarks.reconstruction.garments import Split
 from benchmarks.reconstruction.judging import means_of
-from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
+from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
 from benchmarks.reconstruction.stitching.merging import Merged, merged
 from benchmarks.reconstruction.stitching.scores import (
     IntervalScore,
     StitchScore,
-    random_symmetry,
     score_intervals,
     score_stitches,
 )
-from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew, sew_in_ways
+from benchmarks.reconstruction.stitching.sewing import Subdivision, sew, sew_in_ways
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.files import make_folder
+from gcd_dataset.metrics import PatternScore
 from gcd_dataset.records import Pattern
+from gcd_dataset.scoring.garments import scores_of
 from gcd_dataset.spec import read_pattern, write_pattern
 from gcd_dataset.workers import parallel_map
 
 if TYPE_CHECKING:
     from benchmarks.reconstruction.stitching.net import StitchNet
 
-Score = TypeVar("Score", StitchScore, IntervalScore)
+Score = TypeVar("Score", StitchScore, IntervalScore, PatternScore)
 
 DRAWS = 1000  # of the bootstrap
 CUT_LOGITS = (0.0, -0.7, -1.4, -2.1, -2.8)  # log-odds of points of subdivision that are tried
 
 
 def tables(net: "StitchNet", split: Split, out: Path, *, workers: int, examples: str) -> dict[str, Any]:
-    """The tables of seams one to one and n to m, beside the length-greedy baseline; of ``examples``, if given.
+    """The tables of seams one to one and n to m, and of ``examples``, if given.
 
     The check garments choose how edges are subdivided for seams n to m. Writes the answers to joined edges into the
     folder ``predictions`` of ``out``, those to edges as drawn into ``subdivided``. Raises ``ConfigError`` for
@@ -55,7 +55,8 @@ def tables(net: "StitchNet", split: Split, out: Path, *, workers: int, examples:
         for score in ("perfect", "f1")
         if found.get(table)
     }
-    return {"scores": scores, **found}
+    board = {name: found["board"][name] for name in ("stitch_nm_perfect", "stitch_nm_f1")}
+    return {"scores": board | scores, **found}
 
 
 def calibrated(net: "StitchNet", patterns: Sequence[Pattern]) -> Subdivision:
@@ -84,26 +85,20 @@ def evaluate(
     *,
     kinds: Sequence[str],
 ) -> dict[str, Any]:
-    """The tables of stitches one to one, and n to m, beside the length-greedy baseline.
+    """The tables of stitches one to one, and n to m, and the scores of the scoreboard.
 
     ``way``: how edges are subdivided for seams n to m. ``kinds``: kind of each garment.
     """
-    greedy = []
-    for pattern in patterns:
-        graph = PackedGraphs.of([graph_of(replace(pattern, seams=()))])
-        greedy.append(with_seams(pattern, greedy_by_length(graph[torch.zeros(1, dtype=torch.long)])[0]))
-    rng = np.random.default_rng(0)
     entries = [merged(pattern) for pattern in patterns]
     given = [pattern if entry is None else entry.pattern for pattern, entry in zip(patterns, entries, strict=True)]
-    at_once, ours, sewn = sew(net, patterns, rounds=1), sew(net, patterns), sew(net, given, subdivide=way)
+    ours, sewn = sew(net, patterns), sew(net, given, subdivide=way)
     for folder, answers in (("predictions", sewn), ("subdivided", ours)):
         make_folder(out / folder)
         for answer in answers:
             write_pattern(answer, out / folder / f"{answer.name}.json")
     joined = [entry for entry in entries if entry is not None]
     parted = [answer for answer, entry in zip(sewn, entries, strict=True) if entry is not None]
-    pairs = [list(zip(patterns, answers, strict=True)) for answers in (ours, at_once, greedy)]
-    scores, first, floor = (list(parallel_map(_scored, some, workers)) for some in pairs)
+    scores = list(parallel_map(_scored, zip(patterns, ours, strict=True), workers))
     several = list(parallel_map(_interval_scored, zip(joined, parted, strict=True), workers))
     several_of = {entry.parts.name: score for entry, score in zip(joined, several, strict=True)}
     return {
@@ -113,9 +108,7 @@ def evaluate(
             kind: {"garments": len(own), **means_of(own)}
             for kind, own in _by_kind(kinds, [several_of.get(pattern.name) for pattern in patterns]).items()
         },
-        "one_round": _table(first),
-        "faultless_by_shape": _table([_moved_truth(pattern, rng) for pattern in patterns]),
-        "greedy_by_length": means_of(floor),
+        "board": _table(scores_of(sewn, patterns, workers=workers)),
         "several": _table(several),
         "subdivision": asdict(way),
     }
@@ -137,13 +130,6 @@ def foreign(net: "StitchNet", folder: Path) -> dict[str, Any]:
     scores = [_score(true, own) for true, own in zip(patterns, found, strict=True)]
     each = [{"name": pattern.name, **asdict(score)} for pattern, score in zip(patterns, scores, strict=True)]
     return {**_table(scores), "unreadable": unreadable, "each": each}
-
-
-def _moved_truth(pattern: Pattern, rng: np.random.Generator) -> StitchScore:
-    """The score of the truth after a random symmetry of its panels: its strict part is below 1."""
-    graph = graph_of(pattern)
-    moved = random_symmetry(graph, rng)
-    return score_stitches(graph, [(moved[a], moved[b]) for a, b in enumerate(graph.partners.tolist()) if b > a])
 
 
 def _scored(pair: tuple[Pattern, Pattern]) -> StitchScore:

@@ -23,6 +23,7 @@ from benchmarks.reconstruction.stitching.graphs import (
     with_seams,
 )
 from benchmarks.reconstruction.stitching.merging import Cuts, aligned, needed, split
+from benchmarks.reconstruction.stitching.placing import placed
 from gcd_dataset.records import Pattern
 from gcd_dataset.scoring.joining import MAX_CUTS
 
@@ -54,16 +55,17 @@ def sew(
     batch: int = 64,
     seed: int = 0,
 ) -> list[Pattern]:
-    """The patterns with predicted seams instead of their own.
+    """The patterns with predicted seams instead of their own; of panels of equal shape, those close in space are sewn.
 
     ``rounds``: most rounds, 0 for those of the configuration. ``subdivide``: how edges are subdivided, for seams that
     join one edge to several; ``None``: no edge is. Rows are shuffled by ``seed``, so that the order of panels, or of
     the edges in a loop, cannot help; it breaks ties between equally likely seams.
     """
     if subdivide is None:
-        return _sewn(net, [replace(pattern, seams=()) for pattern in patterns], rounds, batch, seed)
-    found = _Parts.of(net, patterns, subdivide.logit, rounds=rounds, batch=batch, seed=seed)
-    return (found.revised() if subdivide.revised else found).patterns()
+        found = _sewn(net, [replace(pattern, seams=()) for pattern in patterns], rounds, batch, seed)
+        return [placed(pattern, {}, answer) for pattern, answer in zip(patterns, found, strict=True)]
+    parted = _Parts.of(net, patterns, subdivide.logit, rounds=rounds, batch=batch, seed=seed)
+    return (parted.revised() if subdivide.revised else parted).patterns()
 
 
 def sew_in_ways(
@@ -137,12 +139,12 @@ class _Parts:
 
 
 def _moved(pattern: Pattern, cuts: Cuts, parts: Pattern) -> Pattern:
-    """The subdivided pattern with cuts that agree with the lengths of the seams, where they nearly do."""
+    """The subdivided pattern with cuts that agree with the lengths of the seams, where they nearly do; placed."""
     better = {
         ref: tuple(new if abs(new - old) < ALIGNED else old for new, old in zip(own, cuts[ref], strict=True))
         for ref, own in aligned(pattern, cuts, parts).items()
     }
-    return replace(split(pattern, better), seams=parts.seams)
+    return placed(pattern, better, replace(split(pattern, better), seams=parts.seams))
 
 
 def _sewn(net: "StitchNet", patterns: Sequence[Pattern], rounds: int, batch: int, seed: int) -> list[Pattern]:
@@ -291,22 +293,3 @@ def _peaks(logits: Float[np.ndarray, " bins"]) -> list[int]:
     peak = (logits > 0) & (logits > around[:-2]) & (logits >= around[2:])
     strongest = sorted(np.flatnonzero(peak).tolist(), key=lambda at: -logits[at])[:MAX_CUTS]
     return sorted(strongest)
-
-
-def greedy_by_length(batch: EdgeBatch) -> list[list[tuple[int, int, bool]]]:
-    """The baseline without learning: the two free edges closest in length are sewn, until they differ by over 10 %."""
-    found = []
-    for lengths, valid in zip(batch.lengths.cpu().double().numpy(), batch.valid.cpu().numpy(), strict=True):
-        logs = np.log(lengths[valid].clip(1e-6))
-        left, right = np.triu_indices(len(logs), 1)
-        difference = np.abs(logs[left] - logs[right])
-        used, stitches = set[int](), []
-        for at in np.argsort(difference, kind="stable").tolist():
-            one, other = int(left[at]), int(right[at])
-            if difference[at] > math.log(1.1):
-                break
-            if not used & {one, other}:
-                used |= {one, other}
-                stitches.append((one, other, False))
-        found.append(stitches)
-    return found

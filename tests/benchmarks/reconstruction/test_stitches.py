@@ -11,14 +11,15 @@ from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
 from benchmarks.reconstruction.stitching.losses import revealed
 from benchmarks.reconstruction.stitching.merging import aligned, glued, merged, split
 from benchmarks.reconstruction.stitching.net import StitchNet
+from benchmarks.reconstruction.stitching.placing import exchanged, placed
 from benchmarks.reconstruction.stitching.scores import (
     congruences,
     score_intervals,
     score_stitches,
 )
-from benchmarks.reconstruction.stitching.sewing import best_pairs, greedy_by_length, sew, sew_in_ways
+from benchmarks.reconstruction.stitching.sewing import best_pairs, sew, sew_in_ways
 from gcd_dataset.faults import check_pattern
-from gcd_dataset.records import EdgeRef, Pattern, Seam
+from gcd_dataset.records import EdgeRef, Pattern, Placement, Seam
 from tests.benchmarks.reconstruction.toys import (
     ARMHOLE_L,
     ARMHOLE_R,
@@ -105,13 +106,6 @@ def test_the_best_pairs_weigh_as_much_as_any(seed: int) -> None:
     assert len(set(rows)) == len(rows)
     assert all(gain[pair] > 0 for pair in pairs)
     assert sum(gain[pair] for pair in pairs) == pytest.approx(heaviest(gain, tuple(range(count))))
-
-
-def test_greedy_sews_edges_of_equal_length() -> None:
-    pattern = Pattern("two", (rectangle("a", 30, 10), rectangle("b", 50, 20)), ())
-    assert {frozenset(pair[:2]) for pair in greedy_by_length(batch_of(pattern))[0]} == {
-        frozenset(rows) for rows in ((0, 2), (1, 3), (4, 6), (5, 7))
-    }
 
 
 # ---------------------------------------------------------------------------------------------------------- subdivision
@@ -201,6 +195,19 @@ def test_exchanged_belts_are_right_up_to_symmetry() -> None:
     score = score_stitches(graph, exchanged)
     assert (score.perfect, score.perfect_symmetric) == (0.0, 1.0)
     assert score.f1 == pytest.approx(4 / 6)
+
+
+def test_placements_tell_equal_panels_apart() -> None:
+    """A tube with a belt, whose equal panels were exchanged and turned: only as drawn, sewn edges lie together."""
+    behind, above = Placement(np.array([40.0, 0.0, -10.0]), np.array([0.0, np.pi, 0.0])), np.array([0.0, 61.0, 0.0])
+    places = [Placement(np.zeros(3), np.zeros(3)), behind]
+    places += [replace(place, translation=place.translation + above) for place in places]
+    panels = (replace(panel, placement=place) for panel, place in zip(tube().panels, places, strict=True))
+    pattern = replace(tube(), panels=tuple(panels))
+    for image in ([4, 5, 6, 7, 0, 1, 2, 3, *range(8, 16)], [*range(8), 14, 15, 12, 13, 10, 11, 8, 9]):
+        answer = exchanged(pattern, {}, pattern, image)
+        assert seams_of(answer) != seams_of(pattern)
+        assert seams_of(placed(pattern, {}, answer)) == seams_of(pattern)
 
 
 def test_without_answers_nothing_is_right() -> None:
