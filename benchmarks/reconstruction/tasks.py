@@ -160,7 +160,7 @@ TASKS = {
             points=512,  # no input: the reference ``typical`` compares training garments by them
             extra=(*POSE, "design", "pictures", "shown"), sizes=(1000, 4000),
         ),
-        ReconstructionTask("T3", "panels, in any order, without seams", "pattern", "garment_perfect", PATTERN),
+        ReconstructionTask("T3", "panels, in any order, without seams", "pattern", "stitch_nm_perfect", PATTERN),
         ReconstructionTask(
             "T4", "draped mesh", "panel and seam of each vertex", "panel_label", DRAPE,
             points=2048, extra=SURFACES, sizes=(1000, 4000),

@@ -182,7 +182,7 @@ def test_seams_have_tables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     report = json.loads(path.read_text())
     assert report["one_to_one"]["garments"] == 3
     assert report["foreign"]["each"][0]["name"]
-    assert {"subdivided_perfect", "subdivided_f1", "freesewing_perfect"} <= report["scores"].keys()
+    assert {"stitch_nm_perfect", "subdivided_perfect", "subdivided_f1", "freesewing_perfect"} <= report["scores"].keys()
     assert patterns_in(path.parent / "predictions")
     assert main([*flags, "--examples", str(tmp_path / "none"), "--out", str(tmp_path / "other")]) == 1
     assert "give a folder of specification files, with --task T3" in capsys.readouterr().err
