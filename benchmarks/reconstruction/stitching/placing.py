@@ -74,6 +74,18 @@ class _Placing(Search):
             partners[left], partners[right] = right, left
         super().__init__(graph, partners)
         self.points, self.sides = points, sides
+        middles = points.mean(axis=1)
+        self.apart = np.linalg.norm(middles[:, None] - middles, axis=-1)
+        self.goals = {row: self._goals(row) for row in np.flatnonzero(partners >= 0).tolist()}
+
+    def _goals(self, row: int) -> list[tuple[int, int]]:
+        """The panels that the panel of an edge may be, and the edges of these that the edge then is."""
+        return [
+            (goal, int(self.first[goal] + (self.place[row] + turn) % self.sizes[goal]))
+            for (panel, goal), turns in self.turns.items()
+            if panel == self.panel_of[row]
+            for turn in turns
+        ]
 
     def value(self, images: Images) -> float:
         rows = self.moved(images)[self.sides[:, :, 0]]
@@ -82,12 +94,6 @@ class _Placing(Search):
 
     def aim(self, row: int, partner: int, images: Images) -> int:
         """The edge nearest to ``row`` in its place, of those that may be the partner's."""
-        own, other = self.points[self.image(row, images)].mean(axis=0), int(self.panel_of[partner])
-        used = {target for target, _ in images.values()}
-        free = [
-            int(self.first[goal] + (self.place[partner] + turn) % self.sizes[goal])
-            for (panel, goal), turns in self.turns.items()
-            if panel == other and goal not in used
-            for turn in turns
-        ]
-        return min(free, key=lambda edge: float(np.linalg.norm(self.points[edge].mean(axis=0) - own)), default=-1)
+        used, apart = {target for target, _ in images.values()}, self.apart[self.image(row, images)]
+        free = [edge for goal, edge in self.goals[partner] if goal not in used]
+        return min(free, key=lambda edge: float(apart[edge]), default=-1)
