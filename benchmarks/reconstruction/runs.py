@@ -253,7 +253,7 @@ def _card(report: Mapping[str, Any], config: Config) -> str:
     entries = {
         "name": " ".join([Path(config.model).stem, *(f"{name}={size}" for name, size in config.sizes.items())]),
         "garments": report["data"]["train"]["count"] + report["fresh"],
-        "minutes": config.minutes or round(report["minutes"], 1),
+        "minutes": (config.minutes or round(report["minutes"], 1)) * bool(report["steps"]),
         "weights": report["parameters"],
         "hardware": f"{report['ranks']} × {report['device']}",
         "baseline": not report["steps"],
