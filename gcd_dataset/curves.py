@@ -41,6 +41,8 @@ __all__ = [
 Point: TypeAlias = tuple[float, float]
 
 QUADRATURE_NODES, QUADRATURE_WEIGHTS = np.polynomial.legendre.leggauss(24)
+LARGEST_RADIUS = 1000.0  # cm; a flatter arc is fitted as a cubic
+STRAIGHT = 0.2  # cm; an edge is straight if its points are this close to the chord
 ARC_TOLERANCE = 1e-6  # relative rounding error by which a radius may be under half the chord
 
 
@@ -242,3 +244,41 @@ def arc_centre(start: Point, end: Point, arc: Arc) -> tuple[Float[np.ndarray, "2
     turn = 2 * (pi - half) if arc.large else 2 * half
     angle0 = atan2(start[1] - y, start[0] - x)
     return np.array([x, y]), angle0, turn if arc.right else -turn
+
+
+def fitted_curve(points: Float[np.ndarray, "n 2"]) -> Curve:
+    """The curve through points: a line if within ``STRAIGHT``, else the closer of cubic and arc; ends are kept."""
+    start, end = points[0], points[-1]
+    t = np.linspace(0, 1, len(points))[:, None]
+    straight = (1 - t) * start + t * end
+    if np.linalg.norm(points - straight, axis=1).max() < STRAIGHT or np.hypot(*(end - start)) == 0.0:
+        return LINE
+    cubic, cubic_miss = _fitted_cubic(points, straight, t)
+    arc, arc_miss = _fitted_arc(points)
+    return arc if arc is not None and arc_miss < cubic_miss else cubic
+
+
+def _fitted_cubic(points: np.ndarray, straight: np.ndarray, t: np.ndarray) -> tuple[Cubic, float]:
+    """A cubic by least squares over equal parameter steps, and its largest error at a point [cm]."""
+    basis = np.concatenate([3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t)], axis=1)
+    # Offset of the control points from the thirds of the chord.
+    bend = np.linalg.lstsq(basis, points - straight, rcond=None)[0]
+    start, end = points[0], points[-1]
+    ends = (start[0], start[1]), (end[0], end[1])
+    controls = start + np.array([[1.0], [2.0]]) / 3 * (end - start) + bend
+    miss = np.linalg.norm(points - straight - basis @ bend, axis=1).max()
+    return Cubic(*(to_frame(*ends, (x, y)) for x, y in controls.tolist())), float(miss)
+
+
+def _fitted_arc(points: np.ndarray) -> tuple[Arc | None, float]:
+    """A circular arc by algebraic least squares (Kåsa 1976), and its largest error at a point [cm]."""
+    system = np.concatenate([2 * points, np.ones((len(points), 1))], axis=1)
+    x, y, rest = np.linalg.lstsq(system, np.sum(points**2, axis=1), rcond=None)[0]
+    radius = float(np.sqrt(max(rest + x * x + y * y, 0.0)))
+    spokes = points - [x, y]
+    miss = float(np.abs(np.linalg.norm(spokes, axis=1) - radius).max())
+    before, after = spokes[:-1], spokes[1:]
+    turns = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], np.sum(before * after, axis=1)).sum()
+    if not np.hypot(*(points[-1] - points[0])) / 2 < radius < LARGEST_RADIUS:
+        return None, miss
+    return Arc(radius, large=bool(abs(turns) > np.pi), right=bool(turns > 0)), miss

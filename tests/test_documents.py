@@ -140,14 +140,6 @@ def test_the_script_draws_the_pictures_that_are_there() -> None:
     assert {f"{name}.jpg" for name in names} == {path.name for path in (DOCS / "images").iterdir()}
 
 
-def test_a_report_of_several_machines_names_all_of_its_latest_date() -> None:
-    entries = [("2026-11-25", "CPU"), ("2026-11-26", "H200"), ("2026-11-26", "H100"), ("2026-11-26", "H200")]
-    text = "\n\n".join(f"- date: {date}\n- hardware: {hardware}" for date, hardware in entries)
-    assert figures.Report("learning", text).latest() == "2026-11-26, H100 and H200"
-    assert figures.Report("learning", "- date: 2026-11-26\n- command: `x`\n").latest() == "2026-11-26"
-    assert figures.Report("learning", "").latest() == ""
-
-
 @pytest.mark.parametrize("module", [figures, marked, tables], ids=lambda module: str(module.__name__))
 def test_examples_in_the_tools(module: object) -> None:
     assert doctest.testmod(module).failed == 0  # type: ignore[arg-type]

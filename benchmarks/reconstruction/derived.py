@@ -16,10 +16,9 @@ from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR, Map
 from gcd_dataset.loaders import VIEW_FIELDS, Scan, Views
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.records import BodyPart, EdgeRole
+from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES, POINTS, SCAN_SIZE
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, PanelColumn
 
-SCAN_POINTS, SCAN_SIZE = 8192, 320  # points; pixels of the depth camera along each side
-PICTURES, PICTURE_SIZE = 4, 128  # of a garment; pixels along each side
 CENTRE = np.array([0.0, 100.0, 0.0])  # cm, roughly the centre of garments: half precision is finest near 0
 PANEL_CLASSES = (
     "other",
@@ -146,7 +145,7 @@ def _pose(item: Item) -> np.ndarray:
 
 
 def _scan(item: Item) -> np.ndarray:
-    scanned = Scan(n=1, points=SCAN_POINTS, size=SCAN_SIZE)(item)
+    scanned = Scan(n=1, points=POINTS, size=SCAN_SIZE)(item)
     return np.asarray(scanned["scan"].numpy())
 
 
@@ -183,7 +182,7 @@ row of ``EDGE_LABELS``, and 1 on a seam. Bands along edges and seams are therefo
 ``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
 ``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth, lights and places, u8 sRGB; ``shown`` (``PICTURES``, h, w):
 what their pixels show, u8 as ``pixel_labels``;
-``scan`` (``SCAN_POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured none."""
+``scan`` (``POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured none."""
 
 
 MAPS: tuple[MapName, ...] = ("part", "panel_id")

@@ -38,9 +38,6 @@ class Judge(Protocol):
     def write(self, answers: Sequence[Any], garments: GarmentSet, out: Path) -> None:
         """The answers as files in ``out``."""
 
-    def files(self, garments: GarmentSet) -> list[str]:
-        """Names of the files that ``write`` makes for garments, relative to its folder."""
-
 
 def judge_of(task: ReconstructionTask, *, watching: bool = False) -> Judge:
     """The judge of a task; ``watching``: without scores that take long, to watch a training."""
@@ -90,25 +87,10 @@ class Patterns:
             for key, pattern in zip(garments.keys, patterns, strict=True):
                 named = replace(pattern, name=key, extra={"properties": {"kind": kinds[key]}})
                 write_pattern(named, out / folder / f"{key}.json")
-        if self._has_inputs(garments):
+        if self.draped and garments.points.shape[1] > 0:
             _write_inputs(garments, make_folder(out / "inputs"))
         if "pose" in garments.ragged:
             _write_bodies(garments, make_folder(out / "bodies"))
-
-    def files(self, garments: GarmentSet) -> list[str]:
-        names = _names(garments, "predictions", ".json") + _names(garments, "truth", ".json")
-        if self._has_inputs(garments):
-            names += _names(garments, "inputs", ".npy")
-        if "pose" in garments.ragged:
-            names += _names(garments, "bodies", ".npy") + _names(garments, "bodies", ".meta.json")
-        return names
-
-    def _has_inputs(self, garments: GarmentSet) -> bool:
-        return self.draped and garments.points.shape[1] > 0
-
-
-def _names(garments: GarmentSet, folder: str, ending: str) -> list[str]:
-    return [f"{folder}/{key}{ending}" for key in garments.keys]
 
 
 def _write_inputs(garments: GarmentSet, folder: Path) -> None:
@@ -165,9 +147,6 @@ class Vertices:
             with open_whole(folder / f"{key}.npz") as file:
                 np.savez_compressed(file, **vars(answer))
 
-    def files(self, garments: GarmentSet) -> list[str]:
-        return _names(garments, "predictions", ".npz")
-
 
 # -------------------------------------------------------------------------------------------------------- the measures
 
@@ -188,9 +167,6 @@ class Measures:
         for key, answer in zip(garments.keys, answers, strict=True):
             values = dict(zip(MEASURES, np.asarray(answer, float).round(3).tolist(), strict=True))
             write_whole(folder / f"{key}.json", json.dumps(values, indent=1).encode())
-
-    def files(self, garments: GarmentSet) -> list[str]:
-        return _names(garments, "predictions", ".json")
 
 
 def _plot(name: str, pairs: np.ndarray, size: int = 160) -> UInt8[np.ndarray, "h w 3"]:
@@ -237,9 +213,6 @@ class Drapes:
         for key, answer in zip(garments.keys, answers, strict=True):
             with open_whole(folder / f"{key}.npz") as file:
                 np.savez_compressed(file, vertices=answer.vertices.astype(np.float32), ms=answer.ms)
-
-    def files(self, garments: GarmentSet) -> list[str]:
-        return _names(garments, "predictions", ".npz")
 
 
 def _both_sides(

@@ -18,7 +18,7 @@ from torch import Tensor
 from benchmarks.reconstruction.derived import CENTRE
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Batch, Examples, TensorExamples, uploaded
-from gcd_dataset.curves import LINE, Arc, Cubic, Curve, sample_curve, to_frame
+from gcd_dataset.curves import LINE, fitted_curve, sample_curve
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.metrics import PanelShape
@@ -29,9 +29,7 @@ from gcd_dataset.workers import parallel_map
 
 UNIT = 50.0  # cm, roughly a garment's extent from its centre
 BENDS = 5  # inner points of an edge, at equal shares of its length
-LARGEST_RADIUS = 1000.0  # cm; a flatter arc becomes a cubic
 TOGETHER = 8  # garments that a process draws at once
-STRAIGHT = 0.2  # cm; an edge is straight if its points are this close to the chord
 
 
 @dataclass(frozen=True)
@@ -254,42 +252,3 @@ def simple_panel(panel: Panel) -> Panel:
 def _is_simple(panel: Panel) -> bool:
     alone = Pattern("", (panel,), ())
     return not any(fault.severity is Severity.ERROR for fault in check_pattern(alone))
-
-
-def fitted_curve(points: Float[np.ndarray, "n 2"]) -> Curve:
-    """The curve through points: a line if within ``STRAIGHT``, else the closer of cubic and arc; ends are kept."""
-    start, end = points[0], points[-1]
-    t = np.linspace(0, 1, len(points))[:, None]
-    straight = (1 - t) * start + t * end
-    if np.linalg.norm(points - straight, axis=1).max() < STRAIGHT or np.hypot(*(end - start)) == 0.0:
-        return LINE
-    cubic, cubic_miss = _fitted_cubic(points, straight, t)
-    arc, arc_miss = _fitted_arc(points)
-    return arc if arc is not None and arc_miss < cubic_miss else cubic
-
-
-def _fitted_cubic(points: np.ndarray, straight: np.ndarray, t: np.ndarray) -> tuple[Cubic, float]:
-    """A cubic by least squares over equal parameter steps, and its largest error at a point [cm]."""
-    basis = np.concatenate([3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t)], axis=1)
-    bend = np.linalg.lstsq(basis, points - straight, rcond=None)[
-        0
-    ]  # offset of the control points from the thirds of the chord
-    start, end = points[0], points[-1]
-    ends = (start[0], start[1]), (end[0], end[1])
-    controls = start + np.array([[1.0], [2.0]]) / 3 * (end - start) + bend
-    miss = np.linalg.norm(points - straight - basis @ bend, axis=1).max()
-    return Cubic(*(to_frame(*ends, (x, y)) for x, y in controls.tolist())), float(miss)
-
-
-def _fitted_arc(points: np.ndarray) -> tuple[Arc | None, float]:
-    """A circular arc by algebraic least squares (Kåsa 1976), and its largest error at a point [cm]."""
-    system = np.concatenate([2 * points, np.ones((len(points), 1))], axis=1)
-    x, y, rest = np.linalg.lstsq(system, np.sum(points**2, axis=1), rcond=None)[0]
-    radius = float(np.sqrt(max(rest + x * x + y * y, 0.0)))
-    spokes = points - [x, y]
-    miss = float(np.abs(np.linalg.norm(spokes, axis=1) - radius).max())
-    before, after = spokes[:-1], spokes[1:]
-    turns = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], np.sum(before * after, axis=1)).sum()
-    if not np.hypot(*(points[-1] - points[0])) / 2 < radius < LARGEST_RADIUS:
-        return None, miss
-    return Arc(radius, large=bool(abs(turns) > np.pi), right=bool(turns > 0)), miss

@@ -3,8 +3,8 @@
 ``--out`` receives ``predictions/KEY.json`` and ``truth/KEY.json``, specification files that ``gcd score`` reads too
 (answers that are no patterns: ``predictions/KEY.npz``); ``scores.csv``, a row for each test garment; ``report.json``
 with mean scores, 95 % intervals, options and hashes of the data; ``curves.csv``; ``pictures/`` with answers beside
-truth; ``weights.pt``; and ``evaluation.json`` with the scores of drapes (``--drape``), beside the points that the
-answers were told from (T1), or the draped true patterns.
+truth; ``weights.pt``; ``card.toml``, the model's card for ``gcd bench submit``; and ``evaluation.json`` with the scores
+of drapes (``--drape``), beside the points that the answers were told from (T1), or the draped true patterns.
 """
 
 import csv
@@ -35,14 +35,15 @@ from gcd_dataset.generator.drawing import png_bytes
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.scoring.board import result_text
 from gcd_dataset.scoring.folders import Drapes, score
-from gcd_dataset.scoring.table import DRAPED, EVALUATION, REPORT, SCORES
+from gcd_dataset.scoring.table import DRAPED
 
 Check = Callable[[int, Learner[Any, Any]], Mapping[str, float]]
 """Called on the way with the step and the averaged learner. Its figures become columns of the curves; with ``BETTER``
 among them, the weights of its highest value answer in the end."""
 BETTER = "better"
-CURVES = "curves.csv"
-OF_GARMENTS = ("predictions", "truth", "inputs", "bodies")
+CURVES, REPORT, SCORES, EVALUATION = "curves.csv", "report.json", "scores.csv", "evaluation.json"
+CARD = "card.toml"
+OF_GARMENTS = ("predictions", "subdivided", "truth", "inputs", "bodies")
 """Folders of the files of test garments."""
 SKIRTS: Mapping[str, Any] = {"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "Skirt2"]}}}
 """Design of the garments of smoke runs: all of one kind."""
@@ -243,7 +244,21 @@ def answered(
     }  # fmt: skip
     report["test_s"] = round(time.perf_counter() - begun, 2)
     write_whole(out / REPORT, json.dumps(report, indent=1).encode())
+    write_whole(out / CARD, _card(report, config).encode())
     return report
+
+
+def _card(report: Mapping[str, Any], config: Config) -> str:
+    """The card of a result file, in TOML; trainings that differ in their seed alone have the same."""
+    entries = {
+        "name": " ".join([Path(config.model).stem, *(f"{name}={size}" for name, size in config.sizes.items())]),
+        "garments": report["data"]["train"]["count"] + report["fresh"],
+        "minutes": (config.minutes or round(report["minutes"], 1)) * bool(report["steps"]),
+        "weights": report["parameters"],
+        "hardware": f"{report['ranks']} × {report['device']}",
+        "baseline": not report["steps"],
+    }
+    return "".join(f"{name} = {json.dumps(value, ensure_ascii=False)}\n" for name, value in entries.items())
 
 
 def _described(garments: GarmentSet) -> dict[str, Any]:

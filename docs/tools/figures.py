@@ -13,8 +13,6 @@ from pathlib import Path
 REPORTS = Path(__file__).resolve().parents[2] / "benchmarks" / "reports"
 FIGURE = re.compile(r"^\| ([a-z_]+\.[\w.]+) \| (\S+) \|", re.MULTILINE)
 OTHERS = ("mosaicml streaming", "litdata", "webdataset")  # loaders; the report has more
-OF_PATTERNS = {"iou": "IoU", "stitch_f1": "seams F1"}
-"""Scores of patterns, and their names in the table."""
 FACT = r"^- {}: (.*(?:\n  .*)*)$"
 
 
@@ -37,29 +35,14 @@ class Report:
         raise StaleError(f"benchmarks/reports/{self.name}.md has no figure {figure}: change docs/tools/figures.py")
 
     def cells(self, *start: str) -> list[str]:
-        """The cells of the first table row that starts with these, a rank left out. Raises ``StaleError``."""
+        """The cells of the first table row that starts with these. Raises ``StaleError``."""
         for line in self.text.splitlines():
             cells = [cell.strip() for cell in line.strip("|").split("|")]
-            if line.startswith("|") and start in (tuple(cells[: len(start)]), tuple(cells[1 : len(start) + 1])):
+            if line.startswith("|") and start == tuple(cells[: len(start)]):
                 return cells
         raise StaleError(
             f"benchmarks/reports/{self.name}.md has no row {' | '.join(start)}: change docs/tools/figures.py"
         )
-
-    def cell(self, column: str, *start: str) -> str:
-        """The cell below ``column``, without its interval, of the first row that starts with these."""
-        rows = [line.strip("|").split("|") for line in self.text.splitlines() if line.startswith("|")]
-        heads = [names for row in rows if column in (names := [cell.strip() for cell in row])]
-        if not heads:
-            raise StaleError(f"benchmarks/reports/{self.name}.md has no {column}: change docs/tools/figures.py")
-        return self.cells(*start)[heads[0].index(column)].split()[0]
-
-    def latest(self) -> str:
-        """The latest date of its lists, and the hardware beside that date; empty without them."""
-        dated = re.findall(r"^- date: (.+)\n(?:- hardware: (.+))?", self.text, re.MULTILINE)
-        latest = max((date for date, _ in dated), default="")
-        hardware = sorted({name for date, name in dated if date == latest and name})
-        return ", ".join(part for part in (latest, " and ".join(hardware)) if part)
 
     def fact(self, name: str) -> str:
         """An entry of the list at its end, such as ``hardware``; empty without one."""
@@ -126,18 +109,6 @@ def _other_loaders(fields: str) -> Callable[[Report], str]:
 def _remote_pass(report: Report, reader: str) -> str:
     _, _, spent, requests, _, size = report.cells(reader, "epoch")
     return f"{float(spent):.1f} CPU-ms a garment, {requests} requests, {int(size) / 1000:.0f} kB a garment"
-
-
-def _of_patterns(report: Report, model: str) -> str:
-    return ", ".join(f"{text} {report.cell(name, model, '40,000')}" for name, text in OF_PATTERNS.items())
-
-
-def _values_of_patterns(report: Report, model: str) -> str:
-    return ", ".join(report.cell(name, model, "40,000") for name in OF_PATTERNS)
-
-
-def _of_seams(report: Report, score: str) -> str:
-    return report.cell(score, "stitches foreign=0.1", "24,000", "8.0")
 
 
 def _loading(fields: str) -> Callable[[Report], str]:
@@ -295,36 +266,6 @@ FIGURES = (
         lambda r: "; ".join(f"{name}: {_remote_pass(r, name)}" for name in ("litdata", "mosaicml streaming")),
     ),
     Figure(
-        "seams predicted for the panels of unseen patterns, edges joined as a tailor draws them: a network, trained on "
-        "24,000 for 8 minutes, one training",
-        "learning_T3",
-        lambda r: (
-            f"all seams of a pattern right {_of_seams(r, 'joined_perfect')} (up to panels of equal shape); edges "
-            f"subdivided in advance {_of_seams(r, 'subdivided_perfect')}; FreeSewing's patterns "
-            f"{_of_seams(r, 'freesewing_whole')} of 90, F1 {_of_seams(r, 'freesewing_f1')}"
-        ),
-        on="NVIDIA H100",
-        command="python -m benchmarks.reconstruction.train --model stitches --task T3 --set foreign=0.1 --train 24000 "
-        "--minutes 8 --checks 2 --compile --out OUT",
-    ),
-    Figure(
-        "patterns from points of unseen drapes: a network, 7 minutes on 40,000 garments, one training",
-        "learning_T1",
-        lambda r: (
-            f"{_of_patterns(r, 'parameters augmented=1 labelled=1 seen=0')}; answers drawn by the test garments' "
-            "programs, options chosen on the test garments"
-        ),
-        lambda r: (
-            "these scores of others, as long on these garments: "
-            + "; ".join(f"`{name}` {_values_of_patterns(r, name)}" for name in ("panel_set", "edge_tokens"))
-            + f"; `nearest`, untrained, {_values_of_patterns(r, 'nearest')}"
-        ),
-        on="NVIDIA H100",
-        command="python -m benchmarks.reconstruction.train --model parameters --task T1 --set augmented=1 labelled=1 "
-        "seen=0 --train 40000 --minutes 7 --compile --drape",
-        short=True,
-    ),
-    Figure(
         "100 garments each on other bodies, without a crossing edge: T-pose; arms forward; legs wide; a scan of "
         "3,000 vertices; arms 25° and 40° down, which crosses the body itself",
         "bodies_draped",
@@ -387,6 +328,5 @@ def report_list() -> str:
         report = read_report(path.stem)
         title = report.text.splitlines()[0].removeprefix("# ")
         facts = ", ".join(part for part in (report.fact("date"), report.fact("hardware")) if part)
-        facts = report.latest() if path.stem.startswith("learning_") else facts
         lines.append(f"- [{path.stem}](../benchmarks/reports/{path.name}): {title}{f' ({facts})' if facts else ''}")
     return "\n".join(lines)

@@ -33,9 +33,10 @@ def add_verbs(verbs: Any) -> None:
     bench = add_verb(verbs, "bench", _bench, "the scoreboard: test inputs, a result file, the tables")
     actions = bench.add_subparsers(dest="action", required=True, metavar="ACTION")
     inputs = actions.add_parser("inputs", help="write the frozen test inputs of a task; resumes if stopped")
-    inputs.add_argument("task", metavar="TASK", help="T1, T1-scan, T2 or T3")
+    inputs.add_argument("task", metavar="TASK", help="T1, T1-scan, T2, T3 or T3-subdivided")
     inputs.add_argument("out", type=Path, metavar="OUT", help="folder for inputs, true patterns and bodies")
     inputs.add_argument("--mini", action="store_true", help="100 garments for a laptop (default: 2000)")
+    inputs.add_argument("--pictures", type=Path, metavar="DIR", help="of T2: lay out these photographs instead")
     inputs.add_argument("--device", default="auto", help="device of the drapes: auto, cpu or cuda:0 (default: auto)")
     inputs.add_argument("--workers", type=natural_number, default=0, metavar="K", help="processes (default: 0)")
     add_quiet(inputs)
@@ -80,6 +81,12 @@ def _bench(options: argparse.Namespace) -> int:
 
     if options.action == "board":
         print(board.tables(options.results))
+        return 0
+    if options.action == "inputs" and options.pictures is not None:
+        if options.task != "T2" or options.mini:
+            raise ConfigError("--pictures are inputs of T2: give T2, without --mini")
+        names = inputs.lay_out_pictures(options.pictures, options.out)
+        print(f"{options.out}: {len(names)} garments, unscored; gcd show ANSWERS --sheet answers.jpg draws the answers")
         return 0
     if options.action == "inputs":
         work = partial(inputs.write_inputs, options.task, options.out, mini=options.mini)

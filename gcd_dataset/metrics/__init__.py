@@ -11,7 +11,6 @@ and ``failed_score`` is the score of a prediction that is missing or cannot be r
 from gcd_dataset.metrics.matching import PanelPair, match_panels, matched_edges
 from gcd_dataset.metrics.scores import (
     PatternScore,
-    bootstrap_interval,
     bootstrap_means,
     failed_score,
     mean_scores,
@@ -25,7 +24,6 @@ __all__ = [
     "PanelShape",
     "PatternScore",
     "SewnPiece",
-    "bootstrap_interval",
     "bootstrap_means",
     "failed_score",
     "match_panels",

@@ -55,6 +55,8 @@ class PatternScore:
     """Recall of the seams by length."""
     stitch_nm_f1: float
     """Harmonic mean of both."""
+    stitch_nm_perfect: float
+    """1 if all seams by length are right and none is missing, in the right direction."""
     panel_f1: float
     """F1 of the panels; a predicted panel is right if it is matched with an IoU of 0.9 or more."""
     garment_perfect: float
@@ -106,6 +108,7 @@ def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
         stitch_nm_p=by_length[0],
         stitch_nm_r=by_length[1],
         stitch_nm_f1=by_length[2],
+        stitch_nm_perfect=by_length[3],
         panel_f1=2 * alike / (len(predicted_shapes) + len(true_shapes)) if larger else 1.0,
         garment_perfect=float(right == found == wanted),
         combinatorial=float(combinatorial),
@@ -131,24 +134,13 @@ def mean_scores(scores: Sequence[PatternScore]) -> PatternScore:
     return PatternScore(*np.mean([astuple(score) for score in scores], axis=0).tolist())
 
 
-def bootstrap_interval(
-    scores: Sequence[PatternScore], rng: np.random.Generator, *, share: float = 0.95, draws: int = 1000
-) -> tuple[PatternScore, PatternScore]:
-    """Lower and upper ends of the ``share`` confidence interval of the mean scores (percentile bootstrap).
-
-    ``draws``: number of resampled test sets.
-    """
-    values = np.array([astuple(score) for score in scores]).reshape(-1, len(fields(PatternScore)))
-    low, high = bootstrap_means(values, rng, share=share, draws=draws)
-    return PatternScore(*low.tolist()), PatternScore(*high.tolist())
-
-
 def bootstrap_means(
     values: Float[np.ndarray, "n k"], rng: np.random.Generator, *, share: float = 0.95, draws: int = 1000
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Lower and upper ends of the ``share`` confidence interval of the mean of each column (percentile bootstrap).
 
-    Efron and Tibshirani, An Introduction to the Bootstrap (1993), chapter 13. Raises ``ValueError`` without rows.
+    ``draws``: number of resampled test sets. Raises ``ValueError`` without rows. Efron and Tibshirani, An Introduction
+    to the Bootstrap (1993), chapter 13.
     """
     count = len(values)
     if not count:

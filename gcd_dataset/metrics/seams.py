@@ -19,6 +19,7 @@ from gcd_dataset.records import EdgeRef, Pattern
 
 NEAR = 2.0  # cm: the partner of a point is right within this distance along the outline
 SHORT = 1e-6  # cm: shorter pieces are rounding errors
+WHOLE = 0.9  # of the length of a right seam is right
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,12 +125,13 @@ def seam_lengths_score(
     pairs: Sequence[PanelPair],
     predicted_shapes: Mapping[str, PanelShape],
     true_shapes: Mapping[str, PanelShape],
-) -> tuple[float, float, float]:
-    """Precision, recall and F1 of the seams by length.
+) -> tuple[float, float, float, float]:
+    """Precision, recall and F1 of the seams by length; 1 if all seams are right and none is missing.
 
     Predicted intervals are carried to the outlines of the matched true panels (``OutlineMap``). Both sets of seams are
     subdivided at each other's interval ends. A piece is right if the other pattern sews its two ends to the same points
-    of the same outline, within ``NEAR``, in the same direction. Each seam weighs with the mean length of its sides.
+    of the same outline, within ``NEAR``, in the same direction. A seam weighs with the mean length of its sides. It is
+    right if ``WHOLE`` of its length is.
     """
     lengths = {name: SampledOutline.of(shape).length for name, shape in true_shapes.items()}
     wanted = sewn_pieces(true, true_shapes)
@@ -138,12 +140,17 @@ def seam_lengths_score(
     lost = sum(not (seam.left in drawn and seam.right in drawn) for seam in predicted.seams)
     n_wanted, n_found = sum(piece.length for piece in wanted), sum(piece.length for piece in found) + foreign
     if not true.seams and not predicted.seams:
-        return 1.0, 1.0, 1.0
+        return 1.0, 1.0, 1.0, 1.0
     # A seam to a missing edge has no length: it weighs as much as a mean seam.
     n_found += lost * (n_found / max(len(predicted.seams) - lost, 1))
-    precision = _agreeing(found, wanted, lengths) / max(n_found, SHORT)
-    recall = _agreeing(wanted, found, lengths) / max(n_wanted, SHORT)
-    return precision, recall, 2 * precision * recall / max(precision + recall, SHORT)
+    ways = [_agreeing(*way, lengths) for way in ((found, wanted), (wanted, found))]
+    is_right = not (lost or foreign) and all(
+        length >= WHOLE * piece.length
+        for pieces, right in zip((found, wanted), ways, strict=True)
+        for piece, length in zip(pieces, right, strict=True)
+    )
+    precision, recall = sum(ways[0]) / max(n_found, SHORT), sum(ways[1]) / max(n_wanted, SHORT)
+    return precision, recall, 2 * precision * recall / max(precision + recall, SHORT), float(is_right)
 
 
 def _carried(pieces: Sequence[SewnPiece], pairs: Sequence[PanelPair]) -> tuple[list[SewnPiece], float]:
@@ -165,14 +172,14 @@ def _carried(pieces: Sequence[SewnPiece], pairs: Sequence[PanelPair]) -> tuple[l
     return carried, rest
 
 
-def _agreeing(pieces: Sequence[SewnPiece], others: Sequence[SewnPiece], lengths: Mapping[str, float]) -> float:
-    """Total length of the parts of ``pieces`` that ``others`` sew in the same way [cm]."""
+def _agreeing(pieces: Sequence[SewnPiece], others: Sequence[SewnPiece], lengths: Mapping[str, float]) -> list[float]:
+    """Length of the part of each piece that ``others`` sew in the same way [cm]."""
     between: dict[tuple[str, str], list[SewnPiece]] = defaultdict(list)
     ends: dict[str, list[float]] = defaultdict(list)
     for way in (*others, *(SewnPiece(o.right_panel, o.right, o.left_panel, o.left) for o in others)):
         between[way.left_panel, way.right_panel].append(way)
         ends[way.left_panel] += way.left
-    total = 0.0
+    right = []
     for piece in pieces:
         cuts = {0.0, 1.0}
         for panel, (first, last) in ((piece.left_panel, piece.left), (piece.right_panel, piece.right)):
@@ -182,10 +189,10 @@ def _agreeing(pieces: Sequence[SewnPiece], others: Sequence[SewnPiece], lengths:
                 inside = reached[(reached > 0) & (reached < 1)]
                 cuts |= set((inside if last > first else 1 - inside).tolist())
         candidates = between[piece.left_panel, piece.right_panel]
-        for start, stop in pairwise(sorted(cuts)):
-            if any(_sews(other, piece, start, stop, lengths) for other in candidates):
-                total += (stop - start) * piece.length
-    return total
+        parts = pairwise(sorted(cuts))
+        sewn = [b - a for a, b in parts if any(_sews(other, piece, a, b, lengths) for other in candidates)]
+        right.append(sum(sewn) * piece.length)
+    return right
 
 
 def _sews(other: SewnPiece, piece: SewnPiece, start: float, stop: float, lengths: Mapping[str, float]) -> bool:

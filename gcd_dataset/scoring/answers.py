@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from gcd_dataset.curves import LINE, Quadratic, signed_area, to_frame
+from gcd_dataset.curves import fitted_curve, signed_area
 from gcd_dataset.encodings import aipparel
 from gcd_dataset.encodings.specifications import read_prediction
 from gcd_dataset.errors import GcdError, PatternError, SpecError, shown
@@ -38,7 +38,6 @@ TENSORS = ("panels", "edges", "stitches")
 UNREADABLE = (
     OSError, ValueError, TypeError, EOFError, KeyError, MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error
 )  # fmt: skip
-STRAIGHT = 0.01  # of the chord: rise of a control point from which an edge is curved
 
 
 @dataclass(frozen=True)
@@ -176,14 +175,8 @@ def _chained(name: str, lines: list[np.ndarray]) -> tuple[Panel, list[int]]:
     if signed_area(np.concatenate([line[:-1] for line in chain])) < 0:
         rows, chain = rows[::-1], [line[::-1] for line in chain[::-1]]
     corners = np.array([line[0] for line in chain])
-    edges = []
-    for k, line in enumerate(chain):
-        start, end = corners[k], corners[(k + 1) % len(chain)]
-        middle = line[len(line) // 2] if len(line) % 2 else line[len(line) // 2 - 1 :][:2].mean(axis=0)
-        x, y = (2 * middle - 0.5 * (start + end)).tolist()
-        bent = to_frame((float(start[0]), float(start[1])), (float(end[0]), float(end[1])), (x, y))
-        edges.append(Edge(k, (k + 1) % len(chain), Quadratic(bent) if abs(bent[1]) > STRAIGHT else LINE))
-    return Panel(name, corners, tuple(edges), Placement(np.zeros(3), np.zeros(3))), rows
+    edges = tuple(Edge(k, (k + 1) % len(chain), fitted_curve(line)) for k, line in enumerate(chain))
+    return Panel(name, corners, edges, Placement(np.zeros(3), np.zeros(3))), rows
 
 
 def _tokens(tree: Mapping[str, Any], path: Path) -> aipparel.AIpparelTokens:

@@ -19,8 +19,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gcd_dataset.errors import ConfigError, SpecError
 from gcd_dataset.jsonfile import JsonPath, read_json, read_toml
+from gcd_dataset.metrics import bootstrap_means
 from gcd_dataset.scoring.folders import Scores
 from gcd_dataset.scoring.inputs import TASKS
 
@@ -29,12 +32,12 @@ DEVICES = ("CPU", "GPU", "")  # that drape inputs and answers; empty without dra
 CARD: Mapping[str, type] = {"name": str, "garments": int, "minutes": float, "weights": int, "hardware": str}
 MORE: Mapping[str, type] = {"url": str, "note": str, "baseline": bool}
 WORDS: Mapping[type, str] = {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}
-HEADLINES = {"T3": "garment_perfect"}
+HEADLINES = {"T3": "stitch_nm_perfect", "T3-subdivided": "garment_perfect"}
 """The score that ranks a task's answers; of the other tasks ``STRICT``, or ``COMBINATORIAL`` without drapes."""
 STRICT, COMBINATORIAL = "strict_within_1cm", "combinatorial"
 COLUMNS = (
     "strict_within_1cm", "strict_unaided", "edges_within_1cm", "combinatorial", "garment_perfect", "iou",
-    "stitch_f1", "stitch_nm_f1", "redrape_cd_cm",
+    "stitch_f1", "stitch_nm_perfect", "stitch_nm_f1", "redrape_cd_cm",
 )  # fmt: skip
 
 
@@ -59,8 +62,10 @@ def read_card(path: Path) -> dict[str, Any]:
 def tables(paths: Sequence[Path]) -> str:
     """Markdown tables of result files, one for each task, size of the test set and kinds of the devices that draped.
 
-    Models of one table are ranked among those with equal garments, minutes and hardware; baselines stand below. Raises
-    ``SpecError`` for a file that is no result, and for results on different test sets in one table.
+    Models of one table are ranked among those with equal garments, minutes and hardware; baselines stand below. Results
+    with equal cards are trainings with several seeds, and one row. ``behind`` is the mean difference of the headline
+    from the first row, paired by garment. Raises ``SpecError`` for a file that is no result, and for results on
+    different test sets in one table.
     """
     groups = defaultdict[tuple[str, bool, str], list[tuple[Path, dict[str, Any]]]](list)
     for path in paths:
@@ -100,7 +105,10 @@ def _read_result(path: Path) -> dict[str, Any]:
     for name, figure in figures.items():
         for part in ("mean", "low", "high"):
             at.number(at.mapping(figure, name).get(part), f"{part} of {name}")
-    at.list_of(found, "garments")
+    for row in at.list_of(found, "garments"):
+        at.text(at.mapping(row, "a garment").get("name"), "name of a garment")
+        for name in figures.keys() & {*HEADLINES.values(), STRICT, COMBINATORIAL}:
+            at.number(row.get(name), f"{name} of garment {row['name']}")
     return {**found, "settings": {**settings, "mini": bool(settings.get("mini"))}}
 
 
@@ -111,31 +119,63 @@ def _table(task: str, mini: bool, devices: str, results: Sequence[tuple[Path, di
             raise SpecError(f"{path}: other true patterns than {first[0]}: make both again with this version")
     columns = [name for name in COLUMNS if any(name in result["figures"] for _, result in results)]
     headline = HEADLINES.get(task, STRICT if STRICT in columns else COMBINATORIAL)
+    columns.sort(key=lambda name: name != headline)
+    models = defaultdict[str, list[dict[str, Any]]](list)
+    for _, result in results:
+        own = models[json.dumps(result["model"], sort_keys=True)]
+        own += [result] if result not in own else []
 
-    def order(result: Mapping[str, Any]) -> tuple[bool, float]:
-        return bool(result["model"].get("baseline")), -result["figures"].get(headline, {"mean": -1.0})["mean"]
+    def order(row: Mapping[str, Any]) -> tuple[bool, float]:
+        return bool(row["model"].get("baseline")), -row["figures"].get(headline, {"mean": -1.0})["mean"]
 
+    rows = sorted((_pooled(seeds, columns, headline) for seeds in models.values()), key=order)
     count = len(first[1]["garments"])
     yield f"## {task}: {count} garments{' (mini)' if mini else ''}{f', {devices}' if devices else ''}"
     yield ""
-    yield f"| rank | model | {' | '.join(columns)} | garments | minutes | weights | hardware |"
-    yield f"|{'---|' * (len(columns) + 6)}"
+    yield f"| rank | model | {' | '.join(columns)} | behind | garments | minutes | weights | hardware | seeds |"
+    yield f"|{'---|' * (len(columns) + 8)}"
     ranks = defaultdict[tuple[Any, ...], int](int)
-    for result in sorted((result for _, result in results), key=order):
-        model = result["model"]
+    for row in rows:
+        model, figures = row["model"], row["figures"]
         budget = (model["garments"], model["minutes"], model["hardware"])
         ranks[budget] += not model.get("baseline")
         rank = "–" if model.get("baseline") else f"{ranks[budget]}"
-        cells = [_cell(result["figures"].get(name)) for name in columns]
-        facts = [f"{model['garments']:,}", f"{model['minutes']:g}", f"{model['weights']:,}", _plain(model["hardware"])]
+        cells = [_cell(figures.get(name)) for name in columns] + [_behind(rows[0]["garments"], row["garments"])]
+        facts = [f"{model['garments']:,}", f"{model['minutes']:g}", f"{model['weights']:,}"]
+        facts += [_plain(model["hardware"]), str(row["seeds"])]
         yield f"| {' | '.join([rank, _named(model), *cells, *facts])} |"
     yield ""
-    yield f"Ranked by `{headline}` among models with equal garments, minutes and hardware; in brackets: 95 % intervals."
+    yield f"Ranked by `{headline}` among models with equal garments, minutes and hardware; in brackets: 95 % intervals,"
+    yield "or the lowest and the highest mean of several seeds. `behind`: difference from the first row, by garment."
     yield ""
+
+
+def _pooled(seeds: Sequence[Mapping[str, Any]], columns: Sequence[str], headline: str) -> dict[str, Any]:
+    """The row of a model: figures that all its seeds have, and the headline of each garment, if these have it."""
+    shared = [name for name in columns if all(name in result["figures"] for result in seeds)]
+    figures = {name: seeds[0]["figures"][name] for name in shared}
+    if len(seeds) > 1:
+        means = {name: [result["figures"][name]["mean"] for result in seeds] for name in shared}
+        figures = {name: {"mean": np.mean(m), "low": min(m), "high": max(m)} for name, m in means.items()}
+    found = defaultdict[str, list[float]](list)
+    for result in seeds if headline in shared else ():
+        for garment in result["garments"]:
+            found[garment["name"]].append(garment[headline])
+    garments = {name: float(np.mean(values)) for name, values in found.items()}
+    return {"model": seeds[0]["model"], "figures": figures, "garments": garments, "seeds": len(seeds)}
 
 
 def _cell(figure: Mapping[str, float] | None) -> str:
     return "" if figure is None else f"{figure['mean']:.3f} [{figure['low']:.3f}, {figure['high']:.3f}]"
+
+
+def _behind(best: Mapping[str, float], own: Mapping[str, float]) -> str:
+    """The mean difference with its interval over the garments; empty for the best itself, and without scores."""
+    if best == own or best.keys() != own.keys():
+        return ""
+    apart = np.array([[own[garment] - best[garment]] for garment in best])
+    low, high = bootstrap_means(apart, np.random.default_rng(0))
+    return f"{apart.mean():+.3f} [{low[0]:+.3f}, {high[0]:+.3f}]"
 
 
 def _named(model: Mapping[str, Any]) -> str:

@@ -12,8 +12,11 @@ so that scores of the two are tabled apart. The few garments whose drape does no
 
 import hashlib
 import json
+import re
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,9 +28,10 @@ from gcd_dataset.jsonfile import JsonPath, read_json
 from gcd_dataset.making.progress import Progress, ProgressCallback
 from gcd_dataset.patternhash import PatternHash, hash_pattern
 from gcd_dataset.scoring.bodies import read_weights
+from gcd_dataset.scoring.joining import joined
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import key_of
-from gcd_dataset.spec import read_pattern
+from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
 from gcd_dataset.tensors import encode_pattern
 
 if TYPE_CHECKING:
@@ -39,6 +43,7 @@ RESOLUTION = 2.0  # cm: edges of the meshes
 POINTS = 8192
 SCAN_SIZE = 320  # pixels of the depth camera along each side
 PICTURES, PICTURE_SIZE = 4, 128  # of a garment; pixels along each side
+PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".webp")
 TASK = "task.json"
 WEIGHT_STEP = 1e-4  # weights of bodies are rounded before they are hashed
 FROZEN: Mapping[bool, Mapping[str, str]] = {
@@ -93,6 +98,12 @@ def _pictures(item: "Item", stem: Path) -> None:
         Image.fromarray(pixels).save(stem.with_name(f"{stem.name}_{number}.png"))
 
 
+def _joined_panels(item: "Item", stem: Path) -> None:
+    """The panels with edges joined as a tailor draws them."""
+    pattern = pattern_from_spec(item["spec"], stem.name)
+    _panels({**item, "spec": {**item["spec"], "pattern": spec_from_pattern(joined(pattern))["pattern"]}}, stem)
+
+
 def _panels(item: "Item", stem: Path) -> None:
     """The panels in random order under neutral names, without seams and labels."""
     spec = item["spec"]
@@ -118,15 +129,15 @@ def _pictured() -> "Transform":
 
 
 DRAPED = {"drape": "warp", "points": POINTS}
+PATTERN = {"drape": None, "stage": "pattern"}
 TASKS: Mapping[str, BoardTask] = {
     task.name: task
     for task in (
         BoardTask("T1", f"NAME.npy: {POINTS} points of the draped garment and normals (n, 6) [cm]", _points, DRAPED),
         BoardTask("T1-scan", "NAME.npy: points that one depth camera measures (n, 6) [cm]", _scan, DRAPED, _scanned),
         BoardTask("T2", f"NAME_0.png to NAME_{PICTURES - 1}.png: rendered pictures", _pictures, DRAPED, _pictured),
-        BoardTask(
-            "T3", "NAME.json: the panels in random order, without seams", _panels, {"drape": None, "stage": "pattern"}
-        ),
+        BoardTask("T3", "NAME.json: the panels in random order, edges joined, without seams", _joined_panels, PATTERN),
+        BoardTask("T3-subdivided", "NAME.json: the same, edges subdivided where seams end", _panels, PATTERN),
     )
 }
 
@@ -260,6 +271,34 @@ def write_inputs(
     folder.require_frozen()
     _write_json(out / TASK, {**tree, "finished": True, "hashes": FROZEN[mini]})
     return folder
+
+
+def lay_out_pictures(photographs: Path, out: Path) -> list[str]:
+    """Lay out a folder of photographs as inputs of T2; the names of the garments. There is no truth to score with.
+
+    ``NAME_0.jpg``, ``NAME_1.jpg`` … show one garment, ``NAME.jpg`` one alone. The whole picture is kept, in a white
+    square; fewer than ``PICTURES`` are repeated. Raises ``ConfigError`` for a folder without pictures, or one that
+    cannot be read.
+    """
+    from PIL import Image, ImageOps
+
+    found = defaultdict[str, list[Path]](list)
+    for path in sorted(photographs.glob("*")):
+        if path.suffix.lower() in PHOTOGRAPHS:
+            found[re.sub(r"_\d+$", "", path.stem)].append(path)
+    if not found:
+        raise ConfigError(f"{photographs}: no pictures: give a folder of {', '.join(PHOTOGRAPHS)} files")
+    inputs = make_folder(out / "inputs")
+    for name, paths in found.items():
+        for number, path in zip(range(PICTURES), cycle(paths), strict=False):
+            try:
+                with Image.open(path) as image:
+                    upright = ImageOps.exif_transpose(image).convert("RGB")
+            except (OSError, Image.DecompressionBombError) as error:
+                raise ConfigError(f"{path}: cannot be read ({error}): give another picture") from error
+            square = ImageOps.pad(upright, (PICTURE_SIZE, PICTURE_SIZE), color="white")
+            square.save(inputs / f"{name}_{number}.png")
+    return list(found)
 
 
 def _write_json(path: Path, tree: Any) -> None:

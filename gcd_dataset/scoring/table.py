@@ -11,12 +11,6 @@ from gcd_dataset.metrics import bootstrap_means
 if TYPE_CHECKING:
     from gcd_dataset.scoring.garments import Scored
 
-REPORT = "report.json"
-"""File in the folder of ``train --out``: mean scores, options, hashes of the data."""
-SCORES = "scores.csv"
-"""There: a row of scores for each test garment."""
-EVALUATION = "evaluation.json"
-"""There: the evaluator's scores, with drapes."""
 UNITS = {
     "boxmesh_cd": "cm",
     "openings_cm": "cm",
@@ -30,8 +24,6 @@ UNITS = {
 COLUMNS = ("valid", "iou", "panel_count_acc", "edge_count_acc", "stitch_f1", "stitch_nm_f1", "combinatorial")
 DRAPED = ("sim_ok", "redrape_cd_cm", "openings_cm", "strict_within_1cm", "strict_unaided")
 """Scores of drapes."""
-TIMES = ("ms",)
-"""Scores that are times, which other programs on the device lengthen."""
 SHORT = {
     "panel_count_acc": "panels", "edge_count_acc": "edges", "stitch_f1": "stitch", "stitch_nm_f1": "n:m",
     "combinatorial": "comb.", "redrape_cd_cm": "drape cm", "openings_cm": "open cm", "sim_ok": "sim ok",

@@ -36,7 +36,6 @@ SMALLER = {
         "python my_model.py t1/inputs answers": "cp -r t1/inputs answers",
         " --out result.json --drape": " --out result.json --quiet",
         "answers t1 --card model.toml": "answers t1 --card card.toml",
-        "compare FIRST SECOND": "compare scores.json scores.json",
     },
     "guides/train": {"--count 1000": "--count 40", "--resolution 3": "--resolution 8", "EPOCHS = 25": "EPOCHS = 2"},
     "guides/published-data": {"--count 40 --bodies both --resolution 4": "--count 4 --bodies both --resolution 9"},
@@ -58,7 +57,7 @@ SMALLER = {
 DRAPED = {"scans": "garments", "sketches": "garments", "exports": "shards"}
 """Document to the name of a folder with two draped garments, which it takes for granted."""
 BEFORE = {
-    "evaluate": ["gcd generate garments --count 30 --stage pattern --seed 3 --quiet", "python specifications.py"],
+    "evaluate": ["gcd generate garments --count 4 --stage pattern --seed 3 --quiet", "python specifications.py"],
 }
 """Document to the commands that make what else it takes for granted."""
 SPECIFICATIONS = """

@@ -13,7 +13,7 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 
 from benchmarks.cases import parity
 from benchmarks.cloth_tests import drape_coefficient
-from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
+from benchmarks.reconstruction.derived import FIRST_PANEL
 from benchmarks.reconstruction.garments import GarmentSet, generated
 from benchmarks.reconstruction.models import panel_set
 from benchmarks.reconstruction.options import Config
@@ -24,6 +24,7 @@ from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.drape import Fabric
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES
 from gcd_dataset.tensors import PANEL_LABELS
 from tests.benchmarks.reconstruction.conftest import SKIRTS
 from tests.benchmarks.reconstruction.test_networks import SIZES, network

@@ -39,5 +39,5 @@ def test_a_stranger_is_on_the_board_after_four_commands(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
     assert "| 1 | equal lengths |" in done.stdout
     figures = json.loads((tmp_path / "result.json").read_text())["figures"]
-    assert figures["iou"]["mean"] == 1.0
+    assert figures["iou"]["mean"] > 0.999  # a joined edge is one curve, within 2 mm
     assert 0.0 < figures["stitch_f1"]["mean"] < 0.9

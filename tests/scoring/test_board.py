@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from gcd_dataset.cli import main
 from gcd_dataset.scoring.board import read_card, tables
@@ -16,7 +17,8 @@ def result(path: Path, name: str, right: float, *, truth: str = "t", **model: An
     card = {"name": name, "garments": 4000, "minutes": 8.0, "weights": 10**6, "hardware": "one GPU", **model}
     figures = {score: {"mean": right, "low": right - 0.1, "high": right + 0.1} for score in ("combinatorial", "iou")}
     settings = {"task": "T1", "mini": True, "device": "CPU", "hashes": {"truth": truth}}
-    tree = {"schema": 1, "model": card, "settings": settings, "figures": figures, "garments": [{"name": "a"}]}
+    tree = {"schema": 1, "model": card, "settings": settings, "figures": figures}
+    tree["garments"] = [{"name": name, "combinatorial": right + apart} for name, apart in (("a", 0.1), ("b", -0.1))]
     path.write_text(json.dumps(tree))
     return path
 
@@ -36,6 +38,22 @@ def test_only_equal_budgets_are_ranked(tmp_path: Path) -> None:
     assert rows[1][2] == "0.700 [0.600, 0.800]"
 
 
+def test_seeds_of_a_model_are_one_row(tmp_path: Path) -> None:
+    """Its figures are the mean, the lowest and the highest of the seeds; a file given twice counts once."""
+    files = [result(tmp_path / f"{k}.json", "net", 0.5 + 0.1 * k) for k in range(3)]
+    (row,) = [line for line in tables([*files, files[0]]).splitlines() if "one GPU" in line]
+    assert "| 0.600 [0.500, 0.700] |" in row
+    assert row.endswith("| one GPU | 3 |")
+
+
+def test_models_are_compared_by_garment(tmp_path: Path) -> None:
+    """Both models find garment b harder, so that their difference is surer than their means."""
+    files = [result(tmp_path / "a.json", "one", 0.6), result(tmp_path / "b.json", "other", 0.55)]
+    first, second = (line for line in tables(files).splitlines() if "one GPU" in line)
+    assert "|  | 4,000" in first
+    assert "| -0.050 [-0.050, -0.050] | 4,000" in second
+
+
 def test_drapes_of_a_cpu_and_of_a_gpu_share_no_table(tmp_path: Path) -> None:
     files = [result(tmp_path / f"{kind}.json", kind, 0.5) for kind in ("CPU", "GPU")]
     for path in files:
@@ -44,7 +62,7 @@ def test_drapes_of_a_cpu_and_of_a_gpu_share_no_table(tmp_path: Path) -> None:
         path.write_text(json.dumps(tree))
     heads = [line for line in tables(files).splitlines() if line.startswith("## ")]
     assert heads == [
-        f"## T1: 1 garments (mini), inputs draped on a CPU, answers on a {kind}" for kind in ("CPU", "GPU")
+        f"## T1: 2 garments (mini), inputs draped on a CPU, answers on a {kind}" for kind in ("CPU", "GPU")
     ]
 
 
@@ -68,6 +86,7 @@ def test_results_on_other_patterns_share_no_table(tmp_path: Path, capsys: pytest
         ({"model": []}, "model must be a JSON object"),
         ({"figures": {"iou": {"mean": None}}}, "mean of iou must be a number, found nothing"),
         ({"garments": 5}, "garments must be a list, found 5"),
+        ({"garments": [{"name": "a"}]}, "combinatorial of garment a must be a number"),
     ],
 )
 def test_results_that_cannot_be_read(
@@ -113,6 +132,28 @@ def test_cards_that_cannot_be_used(card: str, fault: str, tmp_path: Path, capsys
     assert f"model.toml: {fault}" in capsys.readouterr().err
     path.write_text(CARD)
     assert read_card(path)["minutes"] == 8
+
+
+def test_photographs_are_laid_out_as_pictures_of_t2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two of one garment, one of another, which is red and upright in a white square."""
+    photographs, out = tmp_path / "photographs", tmp_path / "out"
+    photographs.mkdir()
+    for name in ("coat_0.jpg", "coat_1.png", "shirt.jpg"):
+        Image.new("RGB", (300, 600), "red").save(photographs / name)
+    command = ["bench", "inputs", "T2", str(out), "--pictures", str(photographs)]
+    assert main(command) == 0
+    names = [f"{name}_{k}.png" for name in ("coat", "shirt") for k in range(4)]
+    assert sorted(path.name for path in (out / "inputs").iterdir()) == names
+    with Image.open(out / "inputs" / "shirt_3.png") as image:
+        assert image.size == (128, 128)
+        assert image.getpixel((0, 64)) == (255, 255, 255)
+        assert image.getpixel((64, 64))[0] > 250 > 20 > image.getpixel((64, 64))[1]  # type: ignore[index]
+    (photographs / "bad.png").write_text("x")
+    assert main(command) == 2
+    assert "bad.png: cannot be read" in capsys.readouterr().err
+    assert main([*command[:-1], str(tmp_path / "none")]) == 2
+    assert "none: no pictures: give a folder of .jpg" in capsys.readouterr().err
+    assert main(["bench", "inputs", "T1", str(out), "--pictures", str(photographs)]) == 2
 
 
 def test_a_task_that_is_unknown_or_unfinished(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

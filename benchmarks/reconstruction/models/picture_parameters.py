@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Int, UInt8
 from torch import Tensor
 
-from benchmarks.reconstruction.derived import MIRRORED_PIXELS, PICTURE_SIZE, PICTURES
+from benchmarks.reconstruction.derived import MIRRORED_PIXELS
 from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, encoded_by, sizes_from, uploaded
@@ -21,6 +21,7 @@ from benchmarks.reconstruction.picture_model import NUMBERS, PictureTokens, dist
 from benchmarks.reconstruction.point_net import EncoderConfig
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
+from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES
 from gcd_dataset.workers import parallel_map
 
 TASKS = ("T2",)

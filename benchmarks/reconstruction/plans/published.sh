@@ -1,4 +1,4 @@
-# Every run of the leaderboard, a line each: any line may be run alone, on any GPU (CUDA_VISIBLE_DEVICES=1 before it).
+# Every run of docs/reconstruction.md, a line each: any line may be run alone, on any GPU (CUDA_VISIBLE_DEVICES=1 before it).
 # Garments are made by the first run that needs them (--make-only), and lie in runs/garments. A killed run goes on
 # where it stopped when its line is repeated. Fresh garments are drapes of a second GPU, cuda:1.
 # mkdir -p runs/freesewing && tar -xJf benchmarks/data/freesewing.tar.xz -C runs/freesewing

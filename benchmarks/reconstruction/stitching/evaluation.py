@@ -4,22 +4,21 @@ One to one: edges subdivided as drawn. N to m: edges joined wherever possible, s
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from benchmarks.reconstruction.garments import Split
-from benchmarks.reconstruction.judging import intervals, means_of
-from benchmarks.reconstruction.stitching.graphs import PackedGraphs, edge_refs, graph_of, with_seams
+from benchmarks.reconstruction.judging import means_of
+from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
 from benchmarks.reconstruction.stitching.merging import Merged, merged
 from benchmarks.reconstruction.stitching.scores import StitchScore, score_intervals, score_stitches
-from benchmarks.reconstruction.stitching.sewing import greedy_by_length, sew
+from benchmarks.reconstruction.stitching.sewing import sew
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.files import make_folder
 from gcd_dataset.records import Pattern
+from gcd_dataset.scoring.garments import scores_of
 from gcd_dataset.spec import read_pattern, write_pattern
 from gcd_dataset.workers import parallel_map
 
@@ -30,14 +29,24 @@ CUT_LOGITS = (0.0, -0.7, -1.4, -2.1, -2.8)  # log-odds of points of subdivision 
 
 
 def tables(net: "StitchNet", split: Split, out: Path, *, workers: int, examples: str) -> dict[str, Any]:
-    """The tables of seams one to one and n to m, beside the length-greedy baseline; of ``examples``, if given.
+    """The tables of seams one to one and n to m, and of ``examples``, if given.
 
-    The check garments choose how edges are subdivided for seams n to m. Writes the predicted and the true
-    specifications of joined edges into folders of ``out``. Raises ``ConfigError`` for unreadable examples.
+    The check garments choose how edges are subdivided for seams n to m. Writes the answers to joined edges into the
+    folder ``predictions`` of ``out``, those to edges as drawn into ``subdivided``. Raises ``ConfigError`` for
+    unreadable examples.
     """
     tests, checks = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
     found = evaluate(net, tests, out, workers, calibrated(net, checks), kinds=split.test.kinds)
-    return {**found, **({"foreign": foreign(net, Path(examples))} if examples else {})}
+    found |= {"foreign": foreign(net, Path(examples))} if examples else {}
+    parts = {"joined": "several", "subdivided": "one_to_one", "freesewing": "foreign"}
+    scores = {
+        f"{part}_{score}": found[table][f"{score}_symmetric"]
+        for part, table in parts.items()
+        for score in ("perfect", "f1")
+        if found.get(table)
+    }
+    board = {name: found["board"][name] for name in ("stitch_nm_perfect", "stitch_nm_f1")}
+    return {"scores": board | scores, **found}
 
 
 def calibrated(net: "StitchNet", patterns: Sequence[Pattern]) -> float:
@@ -63,21 +72,20 @@ def evaluate(
     *,
     kinds: Sequence[str],
 ) -> dict[str, Any]:
-    """The tables of stitches one to one, and n to m, beside the length-greedy baseline.
+    """The tables of stitches one to one, and n to m, and the scores of the scoreboard.
 
     ``cuts_above``: log-odds of the points at which edges are subdivided for seams n to m. ``kinds``: of the garments.
     """
-    greedy = []
-    for pattern in patterns:
-        graph = PackedGraphs.of([graph_of(replace(pattern, seams=()))])
-        greedy.append(with_seams(pattern, greedy_by_length(graph[torch.zeros(1, dtype=torch.long)])[0]))
-    joined = [found for pattern in patterns if (found := merged(pattern)) is not None]
-    ours = sew(net, patterns)
-    parted = sew(net, [entry.pattern for entry in joined], cuts_above=cuts_above)
-    write(out / "several" / "predictions", parted)
-    write(out / "several" / "truth", [entry.parts for entry in joined])
-    pairs = [list(zip(patterns, answers, strict=True)) for answers in (ours, greedy)]
-    scores, floor = (list(parallel_map(_scored, some, workers)) for some in pairs)
+    entries = [merged(pattern) for pattern in patterns]
+    given = [pattern if entry is None else entry.pattern for pattern, entry in zip(patterns, entries, strict=True)]
+    ours, sewn = sew(net, patterns), sew(net, given, cuts_above=cuts_above)
+    for folder, answers in (("predictions", sewn), ("subdivided", ours)):
+        make_folder(out / folder)
+        for answer in answers:
+            write_pattern(answer, out / folder / f"{answer.name}.json")
+    joined = [entry for entry in entries if entry is not None]
+    parted = [answer for answer, entry in zip(sewn, entries, strict=True) if entry is not None]
+    scores = list(parallel_map(_scored, zip(patterns, ours, strict=True), workers))
     several = list(parallel_map(_interval_scored, zip(joined, parted, strict=True), workers))
     several_of = {entry.parts.name: score for entry, score in zip(joined, several, strict=True)}
     return {
@@ -87,7 +95,7 @@ def evaluate(
             kind: {"garments": len(own), **means_of(own)}
             for kind, own in _by_kind(kinds, [several_of.get(pattern.name) for pattern in patterns]).items()
         },
-        "greedy_by_length": means_of(floor),
+        "board": _table(scores_of(sewn, patterns, workers=workers)),
         "several": _table(several),
         "subdivision": {"logit": cuts_above},
     }
@@ -109,14 +117,6 @@ def foreign(net: "StitchNet", folder: Path) -> dict[str, Any]:
     scores = [_score(true, own) for true, own in zip(patterns, found, strict=True)]
     each = [{"name": pattern.name, **asdict(score)} for pattern, score in zip(patterns, scores, strict=True)]
     return {**_table(scores), "unreadable": unreadable, "each": each}
-
-
-def write(folder: Path, patterns: Sequence[Pattern]) -> None:
-    """Write the specifications of patterns for the evaluator; files of an earlier run are removed."""
-    for old in make_folder(folder).glob("*_?????????_specification.json"):
-        old.unlink()
-    for pattern in patterns:
-        write_pattern(pattern, folder / f"{pattern.name}_specification.json")
 
 
 def _scored(pair: tuple[Pattern, Pattern]) -> StitchScore:

@@ -16,10 +16,10 @@ from torch import Tensor
 from benchmarks.reconstruction.learners import uploaded
 from gcd_dataset.curves import LINE, sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
+from gcd_dataset.scoring.joining import MAX_CUTS
 from gcd_dataset.tensors import require_closed
 
 SAMPLES = 17  # points of an edge, both ends included
-MAX_CUTS = 6  # most subdivision points of an edge
 CUT_BINS = 24  # an edge has at most one in each
 NO_CUT = -1.0
 LEAST_AREA = 1e-3  # cm²: the centroid of a smaller panel is the mean of its points

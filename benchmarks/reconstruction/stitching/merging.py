@@ -13,18 +13,15 @@ import numpy as np
 import shapely
 from jaxtyping import Complex, Float, Int
 
-from benchmarks.reconstruction.panel_targets import fitted_curve
-from benchmarks.reconstruction.stitching.graphs import MAX_CUTS, EdgeGraph, edge_refs
-from gcd_dataset.curves import LINE, Arc, Curve, curve_length, curve_tangents, sample_curve
+from benchmarks.reconstruction.stitching.graphs import EdgeGraph, edge_refs
+from gcd_dataset.curves import LINE, Arc, Curve, curve_length, fitted_curve, sample_curve
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Seam
+from gcd_dataset.scoring.joining import edge_runs, partners_of
 
 Cuts = Mapping[EdgeRef, Sequence[float]]
 """Shares of the length at which edges are subdivided, in order."""
 
-SMOOTH = np.radians(15.0)  # largest turn of the outline at a corner that may vanish
-CLOSE = 0.2  # cm: largest distance of the joined curve from the edges
 SAMPLES = 33  # points of a curve that is fitted
-FEWEST_EDGES = 2  # of a panel
 LEAST_PART = 0.06  # share of a length that a part of a subdivided edge has at least
 ALIGNMENTS = 20  # passes; a chain of edges that subdivide one another settles in a few
 
@@ -45,12 +42,12 @@ def merged(pattern: Pattern, rng: np.random.Generator | None = None) -> Merged |
 
     ``rng``: join a random half of the places only.
     """
-    partner = {a: b for seam in pattern.seams for a, b in ((seam.left, seam.right), (seam.right, seam.left))}
+    partner = partners_of(pattern)
     panels = []
     cuts: dict[EdgeRef, tuple[float, ...]] = {}
     new_ref: dict[EdgeRef, EdgeRef] = {}
     for panel in pattern.panels:
-        runs = _runs(panel, partner, rng)
+        runs = edge_runs(panel, partner, rng)
         edges = []
         for number, (run, curve) in enumerate(runs):
             first = panel.edges[run[0]]
@@ -149,7 +146,7 @@ def aligned(pattern: Pattern, cuts: Cuts, parts: Pattern) -> dict[EdgeRef, tuple
     """
     refs, origins = edge_refs(parts), _origins(pattern, cuts)
     length = dict(zip(refs, (value for panel in parts.panels for value in panel.edge_lengths()), strict=True))
-    partner = {a: b for seam in parts.seams for a, b in ((seam.left, seam.right), (seam.right, seam.left))}
+    partner = partners_of(parts)
     pieces: dict[EdgeRef, list[EdgeRef]] = {}
     for new, old in zip(refs, origins, strict=True):
         if old in cuts:
@@ -175,7 +172,7 @@ def needed(pattern: Pattern, cuts: Cuts, parts: Pattern) -> dict[EdgeRef, tuple[
     """
     refs = edge_refs(parts)
     origin = dict(zip(refs, _origins(pattern, cuts), strict=True))
-    partner = {a: b for seam in parts.seams for a, b in ((seam.left, seam.right), (seam.right, seam.left))}
+    partner = partners_of(parts)
     found: dict[EdgeRef, list[float]] = {}
     pieces: dict[EdgeRef, list[EdgeRef]] = {}
     for ref in refs:
@@ -191,64 +188,6 @@ def needed(pattern: Pattern, cuts: Cuts, parts: Pattern) -> dict[EdgeRef, tuple[
 def _origins(pattern: Pattern, cuts: Cuts) -> list[EdgeRef]:
     """The edge of the pattern that each edge of the subdivided pattern is a part of."""
     return [ref for ref in edge_refs(pattern) for _ in range(len(cuts.get(ref, ())) + 1)]
-
-
-# -------------------------------------------------------------------------------------------------------------- joining
-
-
-def _runs(
-    panel: Panel, partner: Mapping[EdgeRef, EdgeRef], rng: np.random.Generator | None
-) -> list[tuple[list[int], Curve]]:
-    """The panel's edges in runs that become one edge each, and the curve of this edge."""
-    count = len(panel.edges)
-    joins = [_may_join(panel, i, partner) and (rng is None or rng.random() < 0.5) for i in range(count)]
-    first = next((i for i in range(count) if not joins[i - 1]), 0)  # begin at a corner that stays
-    runs: list[tuple[list[int], Curve]] = []
-    for number in range(count):
-        index = (first + number) % count
-        left = count - number - 1 + len(runs)
-        if runs and joins[index - 1] and left >= FEWEST_EDGES and len(runs[-1][0]) <= MAX_CUTS:
-            curve = _joined(panel, [*runs[-1][0], index])
-            if curve is not None:
-                runs[-1] = ([*runs[-1][0], index], curve)
-                continue
-        runs.append(([index], panel.edges[index].curve))
-    return runs
-
-
-def _may_join(panel: Panel, index: int, partner: Mapping[EdgeRef, EdgeRef]) -> bool:
-    """Whether an edge and the next are sewn to different panels, and meet smoothly."""
-    after = (index + 1) % len(panel.edges)
-    sewn = [partner.get(EdgeRef(panel.name, i)) for i in (index, after)]
-    if sewn[0] is None or sewn[1] is None or sewn[0].panel == sewn[1].panel:
-        return False
-    if panel.name in (sewn[0].panel, sewn[1].panel):
-        return False
-    one, other = (
-        curve_tangents(*panel.edge_ends(i), panel.edges[i].curve, np.array([t]))[0]
-        for i, t in ((index, 1.0), (after, 0.0))
-    )
-    return bool(abs(np.arctan2(one[0] * other[1] - one[1] * other[0], one @ other)) < SMOOTH)
-
-
-def _joined(panel: Panel, run: Sequence[int]) -> Curve | None:
-    """One curve along the edges of a run; ``None`` if none lies close."""
-    lengths = [curve_length(*panel.edge_ends(i), panel.edges[i].curve) for i in run]
-    counts = [max(5, round(4 * SAMPLES * length / sum(lengths))) for length in lengths]
-    along = [sample_curve(*panel.edge_ends(i), panel.edges[i].curve, n) for i, n in zip(run, counts, strict=True)]
-    points = np.concatenate([along[0], *(piece[1:] for piece in along[1:])])
-    even = _resampled(points, SAMPLES)
-    curve = fitted_curve(even)
-    (x0, y0), (x1, y1) = even[0].tolist(), even[-1].tolist()
-    fitted = sample_curve((x0, y0), (x1, y1), curve, SAMPLES)
-    return curve if np.linalg.norm(fitted - even, axis=1).max() <= CLOSE else None
-
-
-def _resampled(points: Float[np.ndarray, "n 2"], count: int) -> Float[np.ndarray, "count 2"]:
-    """Points at equal distances along an open polyline."""
-    reached = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    at = np.linspace(0, reached[-1], count)
-    return np.stack([np.interp(at, reached, points[:, axis]) for axis in (0, 1)], axis=1)
 
 
 # ------------------------------------------------------------------------------------------------------------ splitting

@@ -26,6 +26,8 @@ PASSES = 4  # of the local search
 
 Turns = dict[tuple[int, int], list[int]]
 """The shifts s of pairs of panels for which edge k of the first lies on edge k + s of the second."""
+Images = dict[int, tuple[int, int]]
+"""The image of each panel, and its shift."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,7 @@ def best_symmetry(graph: EdgeGraph, predicted: Int[np.ndarray, " e"]) -> Int[np.
     """The symmetry of the panels that makes the most predicted stitches right: the image of each row."""
     if np.array_equal(predicted, graph.partners):
         return np.arange(len(predicted))
-    return _Search(graph, predicted).best()
+    return Search(graph, predicted).best()
 
 
 def _f1(
@@ -105,7 +107,7 @@ def _lie_on(graph: EdgeGraph, rows: Int[np.ndarray, " k"], others: Int[np.ndarra
     return bool(np.abs(ours * (turn / max(abs(turn), 1e-12)) - theirs).max() <= CONGRUENT)
 
 
-class _Search:
+class Search:
     """The search for the panels' permutation and turns that make the most stitches right."""
 
     def __init__(self, graph: EdgeGraph, predicted: Int[np.ndarray, " e"]) -> None:
@@ -118,7 +120,7 @@ class _Search:
 
     def best(self) -> Int[np.ndarray, " e"]:
         """The image of each row for the best permutation and turns found."""
-        images: dict[int, tuple[int, int]] = {}
+        images: Images = {}
         for component in self._components():
             tried = [
                 self._followed(panel, target, shift, images)
@@ -127,10 +129,10 @@ class _Search:
                 for shift in self.turns.get((panel, target), [])
                 if target not in {image for image, _ in images.values()}
             ]
-            images = max(tried, key=lambda found: self._right(self._completed(found)), default=images)
+            images = max(tried, key=lambda found: self.value(self._completed(found)), default=images)
         identity = {panel: (panel, 0) for panel in range(len(self.sizes))}
         starts = (self._completed(images), identity)
-        return self._moved(max((self._improved(start) for start in starts), key=self._right))
+        return self.moved(max((self._improved(start) for start in starts), key=self.value))
 
     def _components(self) -> list[list[int]]:
         """Panels that predicted seams connect."""
@@ -147,9 +149,7 @@ class _Search:
             left -= found
         return components
 
-    def _followed(
-        self, panel: int, target: int, shift: int, given: dict[int, tuple[int, int]]
-    ) -> dict[int, tuple[int, int]]:
+    def _followed(self, panel: int, target: int, shift: int, given: Images) -> Images:
         """Images of the panels that follow from one image, seam by seam: (panel, shift)."""
         images = {**given, panel: (target, shift)}
         used = {image for image, _ in images.values()}
@@ -157,8 +157,10 @@ class _Search:
         while front:
             at = front.pop(0)
             for row in self._rows(at):
-                partner, aim = int(self.predicted[row]), int(self.true[self._image(int(row), images)])
-                if partner < 0 or aim < 0 or (other := int(self.panel_of[partner])) in images:
+                partner = int(self.predicted[row])
+                if partner < 0 or (other := int(self.panel_of[partner])) in images:
+                    continue
+                if (aim := self.aim(int(row), partner, images)) < 0:
                     continue
                 goal = int(self.panel_of[aim])
                 turn = int(self.place[aim] - self.place[partner]) % int(self.sizes[other])
@@ -168,7 +170,7 @@ class _Search:
                     front.append(other)
         return images
 
-    def _completed(self, images: dict[int, tuple[int, int]]) -> dict[int, tuple[int, int]]:
+    def _completed(self, images: Images) -> Images:
         """Images for the other panels, too: themselves where that is free."""
         images = dict(images)
         free = set(range(len(self.sizes))) - {image for image, _ in images.values()}
@@ -178,15 +180,15 @@ class _Search:
             free.remove(target)
         return images
 
-    def _improved(self, images: dict[int, tuple[int, int]]) -> dict[int, tuple[int, int]]:
+    def _improved(self, images: Images) -> Images:
         """The images after exchanges of two of them, and turns, as long as they help."""
-        best = self._right(images)
+        best = self.value(images)
         for _ in range(PASSES):
             before = best
             for one, other in self.turns:
                 if one <= other:
                     tried = [{**images, **change} for change in self._changes(one, other, images)]
-                    counts = [self._right(changed) for changed in tried]
+                    counts = [self.value(changed) for changed in tried]
                     if counts and max(counts) > best:
                         best = max(counts)
                         images = tried[counts.index(best)]
@@ -194,27 +196,29 @@ class _Search:
                 break
         return images
 
-    def _changes(
-        self, one: int, other: int, images: dict[int, tuple[int, int]]
-    ) -> Iterator[dict[int, tuple[int, int]]]:
+    def _changes(self, one: int, other: int, images: Images) -> Iterator[Images]:
         """Other turns of a panel's image, or two panels with their images exchanged."""
         (a, _), (b, _) = images[one], images[other]
         for s in self.turns[one, b]:
             for t in self.turns[other, a] if one != other else [s]:
                 yield {one: (b, s), other: (a, t)}
 
-    def _right(self, images: dict[int, tuple[int, int]]) -> int:
+    def value(self, images: Images) -> float:
         """Number of edges with the right partner."""
-        moved, sewn = self._moved(images), self.predicted >= 0
+        moved, sewn = self.moved(images), self.predicted >= 0
         return int((self.true[moved[sewn]] == moved[self.predicted[sewn]]).sum())
 
-    def _moved(self, images: dict[int, tuple[int, int]]) -> Int[np.ndarray, " e"]:
+    def moved(self, images: Images) -> Int[np.ndarray, " e"]:
         """The image of each row."""
         target, shift = np.array([images[panel] for panel in range(len(self.sizes))]).T
         target, shift = target[self.panel_of], shift[self.panel_of]
         return self.first[target] + (self.place + shift) % self.sizes[target]
 
-    def _image(self, row: int, images: dict[int, tuple[int, int]]) -> int:
+    def aim(self, row: int, partner: int, images: Images) -> int:
+        """The edge that the image of ``row``'s partner should be; -1 for none."""
+        return int(self.true[self.image(row, images)])
+
+    def image(self, row: int, images: Images) -> int:
         panel, shift = images[int(self.panel_of[row])]
         return int(self.first[panel] + (self.place[row] + shift) % self.sizes[panel])
 

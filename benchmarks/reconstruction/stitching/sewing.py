@@ -16,7 +16,6 @@ from torch import nn
 
 from benchmarks.reconstruction.stitching.graphs import (
     CUT_BINS,
-    MAX_CUTS,
     EdgeBatch,
     PackedGraphs,
     edge_refs,
@@ -24,7 +23,9 @@ from benchmarks.reconstruction.stitching.graphs import (
     with_seams,
 )
 from benchmarks.reconstruction.stitching.merging import Cuts, aligned, needed, split
+from benchmarks.reconstruction.stitching.placing import placed
 from gcd_dataset.records import Pattern
+from gcd_dataset.scoring.joining import MAX_CUTS
 
 if TYPE_CHECKING:
     from benchmarks.reconstruction.stitching.net import StitchNet
@@ -37,7 +38,7 @@ ALIGNED = 0.04  # a cut moves by at most this share of the length to agree with 
 
 @torch.no_grad()
 def sew(net: "StitchNet", patterns: Sequence[Pattern], *, cuts_above: float | None = None) -> list[Pattern]:
-    """The patterns with predicted seams instead of their own.
+    """The patterns with predicted seams instead of their own; of panels of equal shape, those close in space are sewn.
 
     ``cuts_above``: edges are subdivided at points of a greater log-odds, for seams that join one edge to several;
     points that then separate no two seams are taken back, and the seams predicted again. ``None``: no edge is
@@ -46,7 +47,7 @@ def sew(net: "StitchNet", patterns: Sequence[Pattern], *, cuts_above: float | No
     """
     bare = [replace(pattern, seams=()) for pattern in patterns]
     if cuts_above is None:
-        return _sewn(net, bare)
+        return [placed(pattern, {}, answer) for pattern, answer in zip(patterns, _sewn(net, bare), strict=True)]
     cuts = _cuts_of(net, bare, cuts_above)
     parts = _sewn(net, [split(pattern, own) for pattern, own in zip(bare, cuts, strict=True)])
     for _ in range(REVISIONS):
@@ -76,12 +77,12 @@ def _cuts_of(net: "StitchNet", patterns: Sequence[Pattern], logit: float) -> lis
 
 
 def _moved(pattern: Pattern, cuts: Cuts, parts: Pattern) -> Pattern:
-    """The subdivided pattern with cuts that agree with the lengths of the seams, where they nearly do."""
+    """The subdivided pattern with cuts that agree with the lengths of the seams, where they nearly do; placed."""
     better = {
         ref: tuple(new if abs(new - old) < ALIGNED else old for new, old in zip(own, cuts[ref], strict=True))
         for ref, own in aligned(pattern, cuts, parts).items()
     }
-    return replace(split(pattern, better), seams=parts.seams)
+    return placed(pattern, better, replace(split(pattern, better), seams=parts.seams))
 
 
 def _sewn(net: "StitchNet", patterns: Sequence[Pattern]) -> list[Pattern]:
@@ -230,22 +231,3 @@ def _peaks(logits: Float[np.ndarray, " bins"]) -> list[int]:
     peak = (logits > 0) & (logits > around[:-2]) & (logits >= around[2:])
     strongest = sorted(np.flatnonzero(peak).tolist(), key=lambda at: -logits[at])[:MAX_CUTS]
     return sorted(strongest)
-
-
-def greedy_by_length(batch: EdgeBatch) -> list[list[tuple[int, int, bool]]]:
-    """The baseline without learning: the two free edges closest in length are sewn, until they differ by over 10 %."""
-    found = []
-    for lengths, valid in zip(batch.lengths.cpu().double().numpy(), batch.valid.cpu().numpy(), strict=True):
-        logs = np.log(lengths[valid].clip(1e-6))
-        left, right = np.triu_indices(len(logs), 1)
-        difference = np.abs(logs[left] - logs[right])
-        used, stitches = set[int](), []
-        for at in np.argsort(difference, kind="stable").tolist():
-            one, other = int(left[at]), int(right[at])
-            if difference[at] > math.log(1.1):
-                break
-            if not used & {one, other}:
-                used |= {one, other}
-                stitches.append((one, other, False))
-        found.append(stitches)
-    return found

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
+from benchmarks.reconstruction.derived import FIRST_PANEL
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
 from benchmarks.reconstruction.learners import Learner, least_cost
 from benchmarks.reconstruction.models import MODELS, load_model
@@ -16,6 +16,7 @@ from benchmarks.reconstruction.options import Config
 from benchmarks.reconstruction.point_net import DecoderLayer, EncoderLayer, hiding
 from benchmarks.reconstruction.train import train
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES
 from tests.benchmarks.reconstruction.toys import small
 
 CPU = torch.device("cpu")

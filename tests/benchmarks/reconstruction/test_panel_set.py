@@ -11,9 +11,9 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.panel_set import SMALL, PanelSet, build, match_panels, panel_losses
 from benchmarks.reconstruction.panel_answers import _partners, edges_of
 from benchmarks.reconstruction.panel_net import Predicted
-from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, fitted_curve, patterns_from, simple_panel
+from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from, simple_panel
 from benchmarks.reconstruction.point_net import regions_of
-from gcd_dataset.curves import LINE, Arc, Cubic, Curve, curve_points
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, curve_points, fitted_curve
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.faults import Rule, Severity, check_pattern
 from gcd_dataset.metrics import mean_scores, score_pattern

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURE_SIZE, PICTURES
+from benchmarks.reconstruction.derived import FIRST_PANEL
 from benchmarks.reconstruction.design_codes import PARAMETERS, encode_design
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
 from benchmarks.reconstruction.models import picture_parameters
 from benchmarks.reconstruction.picture_model import MOST_GROWTH, MOST_SHIFT, MOST_TURN, STRIDE, PictureTokens, distorted
 from benchmarks.reconstruction.point_net import EncoderConfig
 from gcd_dataset.records import BodyPart
+from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES
 from tests.benchmarks.reconstruction.toys import small
 
 CPU = torch.device("cpu")

@@ -1,26 +1,25 @@
 """The network of stitches: its invariances, its training, and how its scores become pairs of edges."""
 
 from dataclasses import astuple, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from benchmarks.reconstruction.stitching.edge_shapes import next_on_boundary
-from benchmarks.reconstruction.stitching.evaluation import write
 from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
 from benchmarks.reconstruction.stitching.losses import revealed
 from benchmarks.reconstruction.stitching.merging import aligned, glued, merged, split
 from benchmarks.reconstruction.stitching.net import StitchNet
+from benchmarks.reconstruction.stitching.placing import exchanged, placed
 from benchmarks.reconstruction.stitching.scores import (
     congruences,
     score_intervals,
     score_stitches,
 )
-from benchmarks.reconstruction.stitching.sewing import best_pairs, greedy_by_length, predict_cuts, sew
+from benchmarks.reconstruction.stitching.sewing import best_pairs, predict_cuts, sew
 from gcd_dataset.faults import check_pattern
-from gcd_dataset.records import EdgeRef, Pattern, Seam
+from gcd_dataset.records import EdgeRef, Pattern, Placement, Seam
 from tests.benchmarks.reconstruction.toys import (
     ARMHOLE_L,
     ARMHOLE_R,
@@ -109,13 +108,6 @@ def test_the_best_pairs_weigh_as_much_as_any(seed: int) -> None:
     assert sum(gain[pair] for pair in pairs) == pytest.approx(heaviest(gain, tuple(range(count))))
 
 
-def test_greedy_sews_edges_of_equal_length() -> None:
-    pattern = Pattern("two", (rectangle("a", 30, 10), rectangle("b", 50, 20)), ())
-    assert {frozenset(pair[:2]) for pair in greedy_by_length(batch_of(pattern))[0]} == {
-        frozenset(rows) for rows in ((0, 2), (1, 3), (4, 6), (5, 7))
-    }
-
-
 # ---------------------------------------------------------------------------------------------------------- subdivision
 
 
@@ -201,6 +193,19 @@ def test_exchanged_belts_are_right_up_to_symmetry() -> None:
     assert score.f1 == pytest.approx(4 / 6)
 
 
+def test_placements_tell_equal_panels_apart() -> None:
+    """A tube with a belt, whose equal panels were exchanged and turned: only as drawn, sewn edges lie together."""
+    behind, above = Placement(np.array([40.0, 0.0, -10.0]), np.array([0.0, np.pi, 0.0])), np.array([0.0, 61.0, 0.0])
+    places = [Placement(np.zeros(3), np.zeros(3)), behind]
+    places += [replace(place, translation=place.translation + above) for place in places]
+    panels = (replace(panel, placement=place) for panel, place in zip(tube().panels, places, strict=True))
+    pattern = replace(tube(), panels=tuple(panels))
+    for image in ([4, 5, 6, 7, 0, 1, 2, 3, *range(8, 16)], [*range(8), 14, 15, 12, 13, 10, 11, 8, 9]):
+        answer = exchanged(pattern, {}, pattern, image)
+        assert seams_of(answer) != seams_of(pattern)
+        assert seams_of(placed(pattern, {}, answer)) == seams_of(pattern)
+
+
 def test_without_answers_nothing_is_right() -> None:
     """As the evaluator counts: no precision without predicted seams, unless the truth has none, either."""
     score = score_stitches(graph_of(t_shirt()), [])
@@ -222,13 +227,3 @@ def test_every_symmetry_of_the_truth_is_right(seed: int) -> None:
     assert score_stitches(graph, cycle).perfect_symmetric == 1.0
     two_rings = [(4 * a + 1, 4 * b + 3) for a, b in ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3))]
     assert score_stitches(graph, two_rings).perfect_symmetric == 0.0
-
-
-def test_answers_of_an_earlier_run_are_removed(tmp_path: Path) -> None:
-    patterns = [replace(t_shirt(), name=f"1_{k:09d}") for k in range(3)]
-    (tmp_path / "own.json").write_text("{}")
-    write(tmp_path, patterns)
-    write(tmp_path, patterns[:2])
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "1_000000000_specification.json", "1_000000001_specification.json", "own.json",
-    ]  # fmt: skip
