@@ -84,14 +84,14 @@ def search(
     pairs: int = PAIRS,
     resolution: float = 2.0,
     device: str = "auto",
-    workers: int = 1,
+    workers: int | Pool = 1,
 ) -> Found:
     """The design whose drape is nearest to the scan: of the proposals, and of those that the rounds find near these.
 
     ``rounds``: see ``ROUNDS``. ``pairs``: of drapes for each design of a round. ``resolution``: edges of the meshes
-    [cm]. ``workers``: processes beside the device. Raises ``DrapeError`` if no proposal can be draped.
+    [cm]. ``workers``: processes beside the device, or their pool. Raises ``DrapeError`` if no proposal can be draped.
     """
-    with process_pool(workers) if workers > 1 else nullcontext(workers) as pool:
+    with nullcontext(workers) if isinstance(workers, Pool) or workers < 2 else process_pool(workers) as pool:
         work = _Search(scan, wearer, pairs, resolution, device, pool)
         found = work.draped(proposals)
         if not found:
