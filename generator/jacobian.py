@@ -104,7 +104,8 @@ class Draped(NamedTuple):
 def real_parameters(design: GarmentDesign, size: Measurements, *, workers: int | Pool = 1) -> tuple[str, ...]:
     """The real parameters that move the outlines of a design for a wearer, by their paths.
 
-    Those that would add edges, such as the depth of a slit that the design lacks, are choices. ``workers``: processes that draw. Raises ``PatternError`` for a design that cannot be drawn.
+    Those that would add edges, such as the depth of a slit that the design lacks, are choices. ``workers``: processes
+    that draw. Raises ``PatternError`` for a design that cannot be drawn.
     """
     drawn = DrawnGarment.of(size, design).pattern
     tree, used = design_to_dict(design), design.sections_used() | {"left"}
