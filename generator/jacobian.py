@@ -1,8 +1,8 @@
 """Derivatives of a drape by design parameters, from one batch of drapes of designs that differ a little.
 
 Cloth that folds has no useful exact derivative: a fold that flips moves it by centimetres. So all parameters are
-changed at once by a step up or down, at random, in pairs of opposite signs, and positions are fitted by least squares:
-each drape tells of each parameter, and single folds average out. Material points are the same in all drapes,
+changed at once by about a step up or down, at random, in pairs of opposite signs, and positions are fitted by least
+squares: each drape tells of each parameter, and single folds average out. Material points are the same in all drapes,
 though patterns and meshes differ: a point of a panel is carried to the other outline by mean value coordinates
 (Hormann and Floater, ACM TOG 25(4), 2006).
 """
@@ -102,9 +102,10 @@ class Draped(NamedTuple):
 
 
 def real_parameters(design: GarmentDesign, size: Measurements, *, workers: int | Pool = 1) -> tuple[str, ...]:
-    """The real parameters that change the pattern of a design for a wearer, by their paths.
+    """The real parameters that move the outlines of a design for a wearer, by their paths.
 
-    ``workers``: processes that draw. Raises ``PatternError`` for a design that cannot be drawn.
+    Those that would add edges, such as the depth of a slit that the design lacks, are choices. ``workers``: processes
+    that draw. Raises ``PatternError`` for a design that cannot be drawn.
     """
     drawn = DrawnGarment.of(size, design).pattern
     tree, used = design_to_dict(design), design.sections_used() | {"left"}
@@ -115,10 +116,11 @@ def real_parameters(design: GarmentDesign, size: Measurements, *, workers: int |
 
 
 def _changes(design: GarmentDesign, size: Measurements, drawn: Pattern, path: str) -> bool:
-    """Whether a parameter, moved inwards, changes the drawn pattern."""
+    """Whether a parameter, moved inwards, moves the outlines of the drawn pattern, and adds no edge."""
     inward = 0.02 if value_at(design_to_dict(design), path) < 0.5 * sum(_reals()[path].range) else -0.02
     with suppress(GcdError):
-        return not _is_same(drawn, DrawnGarment.of(size, moved(design, {path: inward})).pattern)
+        other = DrawnGarment.of(size, moved(design, {path: inward})).pattern
+        return _alike(drawn, other) and not _is_same(drawn, other)
     return False
 
 
@@ -169,8 +171,9 @@ def drape_jacobian(
     spans = high - low
     centre = (np.array([value_at(tree, name) for name in names], float) - low) / spans
     count = pairs or max(PAIRS_EACH * len(names), FEWEST_PAIRS)
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (count, len(names)))
-    places = np.clip(np.concatenate([centre[None], centre + step * signs, centre - step * signs]), 0.0, 1.0)
+    rng = np.random.default_rng(seed)
+    ways = rng.choice([-step, step], (count, len(names))) * rng.uniform(0.5, 1.5, (count, 1))
+    places = np.clip(np.concatenate([centre[None], centre + ways, centre - ways]), 0.0, 1.0)
     designs = [design, *(moved(design, dict(zip(names, by.tolist(), strict=True))) for by in places[1:] - centre)]
     worn = list(parallel_map(fitting.worn, designs, workers))
     if worn[0] is None:

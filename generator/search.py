@@ -2,8 +2,10 @@
 
 Proposed designs are draped at once. The nearest to the scan are refined: ``drape_jacobian`` gives a linear map from
 their real parameters to their drape, which Gauss-Newton steps bring onto the scan, and the next map is made at the
-nearest drape of all. Choices, such as the kind of a sleeve, stay those of the proposal. Drapes of equal patterns but
-for millimetres fold in different ways, so the last rounds look among such neighbours for the folds of the scan.
+nearest of these. Choices, such as the kind of a sleeve, stay those of the proposal. Patterns that differ by millimetres
+fold in different ways, and their drapes lie some millimetres apart: so the choices of the first proposal, the likeliest,
+give way to others only for a clearly nearer drape, and neighbours that happen to fold as the scan does count in the
+last rounds alone, where they differ little.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -37,6 +39,8 @@ from gcd_dataset.workers import Pool, parallel_map, process_pool
 SAMPLES = 1024  # points of the scan that are compared
 ROUNDS = ((4, 0.08), (2, 0.05), (1, 0.05), (1, 0.03), (1, 0.02), (1, 0.01), (1, 0.005))
 """Designs that a round refines, the nearest of different choices, and the change of their parameters [of a range]."""
+FINE = 0.01  # of a range: in rounds of such steps, the nearest neighbour may be the answer
+CLEARLY = 0.75  # of the distance of the likeliest choices: that of others that replace them
 PAIRS = 40  # pairs of drapes of a design in a round
 SHARES = (1.0, 0.5, 0.25)  # of the change that brings the linear map onto the scan: all are draped
 REACH = 2.0  # steps that a parameter may move in a round
@@ -84,21 +88,22 @@ def search(
     pairs: int = PAIRS,
     resolution: float = 2.0,
     device: str = "auto",
-    workers: int = 1,
+    workers: int | Pool = 1,
 ) -> Found:
     """The design whose drape is nearest to the scan: of the proposals, and of those that the rounds find near these.
 
     ``rounds``: see ``ROUNDS``. ``pairs``: of drapes for each design of a round. ``resolution``: edges of the meshes
-    [cm]. ``workers``: processes beside the device. Raises ``DrapeError`` if no proposal can be draped.
+    [cm]. ``workers``: processes beside the device, or their pool. Raises ``DrapeError`` if no proposal can be draped.
     """
-    with process_pool(workers) if workers > 1 else nullcontext(workers) as pool:
+    designs = list(proposals)
+    with nullcontext(workers) if isinstance(workers, Pool) or workers < 2 else process_pool(workers) as pool:
         work = _Search(scan, wearer, pairs, resolution, device, pool)
-        found = work.draped(proposals)
-        if not found:
+        best = _of_each_choice(work.draped(designs), choices_of(designs[0]) if designs else "")
+        if not best:
             raise DrapeError("none of the proposed designs can be drawn, meshed and draped on this body")
-        best = _of_each_choice(found)
         for number, (count, step) in enumerate(rounds):
-            best = _of_each_choice([near for each in best[:count] for near in work.refined(each, step, number)])
+            refined = [near for each in best[:count] for near in work.refined(each, step, number)]
+            best = _of_each_choice(refined, choices_of(designs[0]))
     return best[0]
 
 
@@ -141,7 +146,7 @@ class _Search:
         return [Found(*pair) for pair in zip(settled, apart, strict=True)]
 
     def refined(self, start: Found, step: float, seed: int) -> list[Found]:
-        """The start, its neighbours, and the designs that the linear map brings onto the scan."""
+        """The start, near neighbours, and the designs that the linear map brings onto the scan."""
         design = start.drape.design
         fitting, choices = _fitting(self.fittings, design), choices_of(design)
         if choices not in self.names:
@@ -156,7 +161,8 @@ class _Search:
             return [start]
         change = dict(zip(names, on_scan(found, self.scan, step).tolist(), strict=True))
         tried = [moved(design, {name: share * by for name, by in change.items()}) for share in SHARES]
-        return [start, *self.compared(found.fitted), *self.draped(tried)]
+        neighbours = self.compared(found.fitted) if step <= FINE else []
+        return [start, *neighbours, *self.draped(tried)]
 
     def _mapped(self, work: Callable[[Sequence[Any]], list[Any]], items: Sequence[Any]) -> list[Any]:
         parts = [items[first : first + AT_ONCE] for first in range(0, len(items), AT_ONCE)]
@@ -175,12 +181,13 @@ def _distances(scan: ScanPoints, part: Sequence[tuple[np.ndarray, np.ndarray]]) 
     return [distance_to(scan, *mesh) for mesh in part]
 
 
-def _of_each_choice(found: Iterable[Found]) -> list[Found]:
-    """The nearest of each set of choices, nearest first."""
+def _of_each_choice(found: Iterable[Found], likeliest: str) -> list[Found]:
+    """The nearest of each set of choices, in the order in which they may be the answer."""
     nearest: dict[str, Found] = {}
     for each in sorted(found, key=lambda each: each.distance):
         nearest.setdefault(choices_of(each.drape.design), each)
-    return list(nearest.values())
+    shares = {choices: CLEARLY if choices == likeliest else 1.0 for choices in nearest}
+    return sorted(nearest.values(), key=lambda each: each.distance * shares[choices_of(each.drape.design)])
 
 
 def distance_to(scan: ScanPoints, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> float:

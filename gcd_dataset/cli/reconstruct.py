@@ -42,6 +42,9 @@ def add_verbs(verbs: Any) -> None:
         f"wearer without --body (default: {DRAWN} random designs)",
     )
     verb.add_argument("--partial", action="store_true", help="a scan shows a part of its garment, such as one side")
+    verb.add_argument(
+        "--rounds", type=natural_number, default=7, metavar="N", help="of refinement, at most 7; 0: none (default: 7)"
+    )
     add_body(verb, default=None)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for patterns, drapes, report")
     verb.add_argument(
@@ -88,14 +91,14 @@ def _found(scan: Path, options: argparse.Namespace, pool: Any) -> dict[str, Any]
         write_fitting,
     )
     from gcd_dataset.generator.garments.design import write_design
-    from gcd_dataset.generator.search import ScanPoints, search
+    from gcd_dataset.generator.search import ROUNDS, ScanPoints, search
     from gcd_dataset.scoring.distances import Cloud, MeshShape, mean_and_p95, read_points
 
     begun, points = time.perf_counter(), read_points(scan, POINTS)
     designs, wearer, shape = _proposed(scan, options)
     found = search(
-        ScanPoints.of(points, partial=options.partial), designs, wearer, resolution=options.resolution,
-        device=options.device, workers=pool,
+        ScanPoints.of(points, partial=options.partial), designs, wearer, rounds=ROUNDS[: options.rounds],
+        resolution=options.resolution, device=options.device, workers=pool,
     )  # fmt: skip
     seconds, design, name = time.perf_counter() - begun, found.drape.design, garment_name(scan)
     spec, rejects = write_drawn(design, wearer(False)[1], options.out, source=scan)

@@ -6,7 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gcd_dataset.generator.search import ScanPoints, on_scan
+from gcd_dataset.generator import Fitting, build_body, measure
+from gcd_dataset.generator.body import neutral_shape
+from gcd_dataset.generator.drape import drape_batch
+from gcd_dataset.generator.garments import design_from_dict
+from gcd_dataset.generator.jacobian import moved
+from gcd_dataset.generator.quality import sample_surface
+from gcd_dataset.generator.search import ScanPoints, on_scan, search
 
 SIDE = 41  # vertices along each side of a sheet of 80 cm
 
@@ -40,3 +46,23 @@ def test_parameters_are_found_on_a_linear_map(partial: bool, known: int) -> None
     assert on_scan(jacobian, scan, step=0.1)[:known] == pytest.approx(
         [0.1, 0.1][:known], abs=0.025
     )  # the prior holds back
+
+
+def test_the_length_of_a_skirt_is_found_from_its_drape() -> None:
+    """One of two proposals is another kind of skirt, one is too long."""
+    body = build_body(neutral_shape())
+    fitting = Fitting(body, measure(body), resolution=6.0)
+    skirt = design_from_dict({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"length": 0.5}})
+    worn = fitting.worn(skirt)
+    assert worn is not None
+    [drape] = drape_batch([worn.job], device="cpu")
+    points = sample_surface(drape.vertices, worn.job.box_mesh.faces, 4096, np.random.default_rng(0))
+    proposals = [design_from_dict({"meta": {"bottom": "SkirtCircle"}}), moved(skirt, {"pencil-skirt.length": 0.1})]
+    options: Any = {"pairs": 8, "resolution": 6.0, "device": "cpu"}
+    apart = {}
+    for count in (0, 2):
+        rounds = ((2, 0.05), (1, 0.03))[:count]
+        found = search(ScanPoints.of(points), proposals, lambda _: (body, fitting.size), rounds=rounds, **options)
+        apart[count] = abs(found.drape.design.pencil_skirt.length - 0.5)
+    assert apart[0] > 0.05
+    assert apart[2] < 0.3 * apart[0]
