@@ -1,4 +1,4 @@
-"""The tables of task T3: seams one to one, n to m, and of patterns of another origin (T7).
+"""The tables of task T3: seams one to one, and n to m.
 
 One to one: edges subdivided as drawn. N to m: edges joined wherever possible, scored on the seams of the parts.
 """
@@ -23,10 +23,9 @@ from benchmarks.reconstruction.stitching.scores import (
     score_stitches,
 )
 from benchmarks.reconstruction.stitching.sewing import Subdivision, greedy_by_length, sew, sew_in_ways
-from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.files import make_folder
 from gcd_dataset.records import Pattern
-from gcd_dataset.spec import read_pattern, write_pattern
+from gcd_dataset.spec import write_pattern
 from gcd_dataset.workers import parallel_map
 
 if TYPE_CHECKING:
@@ -38,15 +37,14 @@ DRAWS = 1000  # of the bootstrap
 CUT_LOGITS = (0.0, -0.7, -1.4, -2.1, -2.8)  # log-odds of points of subdivision that are tried
 
 
-def tables(net: "StitchNet", split: Split, out: Path, *, workers: int, examples: str) -> dict[str, Any]:
-    """The tables of seams one to one and n to m, beside the length-greedy baseline; of ``examples``, if given.
+def tables(net: "StitchNet", split: Split, out: Path, *, workers: int) -> dict[str, Any]:
+    """The tables of seams one to one and n to m, beside the length-greedy baseline.
 
     The check garments choose how edges are subdivided for seams n to m. Writes the predicted and the true
-    specifications of joined edges into folders of ``out``. Raises ``ConfigError`` for unreadable examples.
+    specifications of joined edges into folders of ``out``.
     """
     tests, checks = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
-    found = evaluate(net, tests, out, workers, calibrated(net, checks), kinds=split.test.kinds)
-    return {**found, **({"foreign": foreign(net, Path(examples))} if examples else {})}
+    return evaluate(net, tests, out, workers, calibrated(net, checks), kinds=split.test.kinds)
 
 
 def calibrated(net: "StitchNet", patterns: Sequence[Pattern]) -> Subdivision:
@@ -106,24 +104,6 @@ def evaluate(
         "several": _table(several),
         "subdivision": asdict(way),
     }
-
-
-def foreign(net: "StitchNet", folder: Path) -> dict[str, Any]:
-    """Scores of the specifications in a folder, subdivided as drawn, and of each by name."""
-    patterns, graphs, unreadable = [], [], {}
-    for path in sorted(folder.rglob("*_specification.json")):
-        try:
-            pattern = read_pattern(path)
-            graphs.append(graph_of(pattern))
-            patterns.append(pattern)
-        except PatternError as error:
-            unreadable[str(path.relative_to(folder))] = str(error)
-    if not patterns:
-        raise ConfigError(f"{folder}: no readable *_specification.json: give a folder of patterns")
-    found = sew(net, patterns)
-    scores = [_score(true, own) for true, own in zip(patterns, found, strict=True)]
-    each = [{"name": pattern.name, **asdict(score)} for pattern, score in zip(patterns, scores, strict=True)]
-    return {**_table(scores), "unreadable": unreadable, "each": each}
 
 
 def write(folder: Path, patterns: Sequence[Pattern]) -> None:
