@@ -16,7 +16,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.derived import FIRST_PANEL, SHOWN_CLASSES
+from benchmarks.reconstruction.derived import FIRST_PANEL, PICTURES, SHOWN_CLASSES
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import TensorExamples, uploaded
 from benchmarks.reconstruction.point_net import EncoderConfig, encoder, some_of
@@ -42,9 +42,12 @@ class PictureTokens(nn.Module):
     def __init__(self, config: EncoderConfig, *, views: int, size: int, seen: int = 0) -> None:
         """``seen``: cells of a garment in a training step, others in each step; 0: all, as in an answer.
 
-        Raises ``ConfigError`` for a width whose quarter has no ``GROUPS`` equal parts.
+        Raises ``ConfigError`` for a width whose quarter has no ``GROUPS`` equal parts, and for more pictures than
+        garments have.
         """
         super().__init__()
+        if not 1 <= views <= PICTURES:
+            raise ConfigError(f"views {views}: give 1 to {PICTURES}")
         width, side = config.width, size // STRIDE
         if width % (4 * GROUPS):
             raise ConfigError(f"width {width}: give a multiple of {4 * GROUPS}")

@@ -88,7 +88,7 @@ def load_split(config: Config, task: ReconstructionTask) -> Split:
         workers = max(1, cores() - 1) if config.workers < 0 else config.workers
         data = Path(config.data) if config.data else Path(config.out).parent / "garments"
         make: dict[str, Any] = {"data": data, "workers": workers, **_recipe(config, task)}
-        sources = {"source": config.source, "test_source": config.test_source}
+        sources: dict[str, Any] = {"source": config.source, "test_source": config.test_source}
         split = task.load(config.train, **sources, checked=config.validate if config.source else 0, **share, **make)
         if config.validate and not config.source:
             split = replace(split, check=task.validation(config.validate, **make))

@@ -8,6 +8,7 @@ options and records are chosen on the validation set, ``VALIDATION``, never on t
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -106,16 +107,17 @@ class ReconstructionTask:
         watch a training, 0 for the usual number. ``share``: (r, n) for the training garments r, r + n … alone.
         ``changes``: other ``options``. Raises ``ConfigError`` for garments of another stage.
         """
-        make, checked, test = self._making(data, workers, **changes), checked or min(CHECKED, count), None
-        if test_source or not source or is_published(Path(source)):
-            test = self._tests(test_source or source, tested, data=data, workers=workers, **changes)
+        make, checked = self._making(data, workers, **changes), checked or min(CHECKED, count)
+        tests = partial(self._tests, tested=tested, data=data, workers=workers, **changes)
         if not source:
             train = generated(count, TRAIN_SEED, share=share, **make)
-            return Split(train, generated(checked, CHECK_SEED, **make), test)
+            return Split(train, generated(checked, CHECK_SEED, **make), tests(test_source))
         if is_published(Path(source)):
             train, check = (self._read(source, workers, split) for split in ("train", "validation"))
-            split = Split(train, check.select(range(min(checked, len(check)))), test, apart=("designs",))
+            check = check.select(range(min(checked, len(check))))
+            split = Split(train, check, tests(test_source or source), apart=("designs",))
         else:
+            test = tests(test_source) if test_source else None
             split = split_off(self._read(source, workers), tested or self.tested, checked=checked, test=test)
         return split.first(count, *share)
 

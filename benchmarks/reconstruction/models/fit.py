@@ -18,7 +18,6 @@ from benchmarks.reconstruction.learners import Learner, TensorExamples, encoded_
 from benchmarks.reconstruction.picture_model import DrawnPictures, PicturedExamples, PictureTokens, pictures_of
 from benchmarks.reconstruction.point_net import EncoderConfig
 from benchmarks.reconstruction.surface_net import mlp
-from gcd_dataset.errors import ConfigError
 
 TASKS = ("T7",)
 USUAL: Mapping[str, Any] = {"batch": 128, "lr": 5e-4}
@@ -47,10 +46,8 @@ class FitNet(Learner[PictureFits, np.ndarray]):
     deviation: Tensor
 
     def __init__(self, config: EncoderConfig, *, views: int = PICTURES) -> None:
-        """``views``: pictures that are seen. Raises ``ConfigError`` for a number that garments do not have."""
+        """``views``: pictures that are seen. Raises ``ConfigError`` as ``PictureTokens``."""
         super().__init__()
-        if not 1 <= views <= PICTURES:
-            raise ConfigError(f"views {views}: give 1 to {PICTURES}")
         self.views = views
         self.tokens = PictureTokens(config, views=views, size=PICTURE_SIZE, seen=config.seen)
         self.head = nn.Sequential(*mlp(2 * config.width, config.width, len(FIT)))
@@ -77,7 +74,7 @@ class FitNet(Learner[PictureFits, np.ndarray]):
 
     def loss(self, batch: PictureFits) -> dict[str, Tensor]:
         tokens, rows = self.tokens.seen_cells(batch.pictures)
-        errors = (self._standard(tokens).float() - (batch.fit - self.mean) / self.deviation).abs()
+        errors = (self._standard(tokens).float() - (batch.fit.nan_to_num() - self.mean) / self.deviation).abs()
         return {"fit": mean_of(errors, batch.fit.isfinite()), **self.tokens.pixel_losses(tokens, batch.shown, rows)}
 
     def predict(self, batch: PictureFits) -> list[np.ndarray]:

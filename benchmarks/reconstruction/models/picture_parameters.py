@@ -18,7 +18,6 @@ from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, encoded_by, sizes_from, uploaded
 from benchmarks.reconstruction.picture_model import DrawnPictures, PicturedExamples, PictureTokens, pictures_of
 from benchmarks.reconstruction.point_net import EncoderConfig
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
@@ -69,13 +68,9 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
 
     def __init__(self, config: EncoderConfig, *, views: int = PICTURES, augmented: int = 0) -> None:
         """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees. ``augmented``: 1
-        for mirror images in a training.
-
-        Raises ``ConfigError`` for a number of pictures that garments do not have.
+        for mirror images in a training. Raises ``ConfigError`` as ``PictureTokens``.
         """
         super().__init__()
-        if not 1 <= views <= PICTURES:
-            raise ConfigError(f"views {views}: give 1 to {PICTURES}")
         self.views, self.augmented = views, bool(augmented)
         self.tokens = PictureTokens(config, views=views, size=PICTURE_SIZE, seen=config.seen)
         self.decoder = DesignDecoder(config.width, heads=config.heads, layers=(config.layers + 1) // 2)
@@ -125,15 +120,8 @@ def build(config: Mapping[str, Any]) -> PictureParameters:
 
     Raises ``ConfigError`` for others.
     """
-    own_names = ("views", "augmented")
-    points, least, heads = ("tokens", "region_width"), {"seen": 0}, {"width": "heads"}
     sizes, own = sizes_from(
-        "picture_parameters",
-        EncoderConfig,
-        {**LARGE, **config},
-        own=own_names,
-        without=points,
-        least=least,
-        heads=heads,
-    )
+        "picture_parameters", EncoderConfig, {**LARGE, **config}, own=("views", "augmented"),
+        without=("tokens", "region_width"), least={"seen": 0}, heads={"width": "heads"},
+    )  # fmt: skip
     return PictureParameters(sizes, **own)
