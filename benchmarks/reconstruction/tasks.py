@@ -6,7 +6,7 @@ a few garments of ``CHECK_SEED`` to watch a training. ``Split`` checks that they
 options and records are chosen on the validation set, ``VALIDATION``, never on the test set.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -108,7 +108,7 @@ class ReconstructionTask:
         ``changes``: other ``options``. Raises ``ConfigError`` for garments of another stage.
         """
         make, checked = self._making(data, workers, **changes), checked or min(CHECKED, count)
-        tests = partial(self._tests, tested=tested, data=data, workers=workers, **changes)
+        tests: Callable[[str], GarmentSet] = partial(self._tests, tested=tested, data=data, workers=workers, **changes)
         if not source:
             train = generated(count, TRAIN_SEED, share=share, **make)
             return Split(train, generated(checked, CHECK_SEED, **make), tests(test_source))

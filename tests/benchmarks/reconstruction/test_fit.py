@@ -40,7 +40,11 @@ def painted(six: GarmentSet) -> GarmentSet:
     shape = (PICTURES, PICTURE_SIZE, PICTURE_SIZE)
     pictures = [np.full((*shape, 3), 40 * k, np.uint8) for k in range(6)]
     fits = [np.array([[k - 3, 2.0 * k, np.nan if k == 1 else 10 - k, np.nan]], np.float32) for k in range(6)]
-    ragged = {"pictures": pictures, "shown": [np.full(shape, FIRST_PANEL, np.uint8)] * 6, "fit": fits}
+    ragged: dict[str, list[np.ndarray]] = {
+        "pictures": pictures,
+        "shown": [np.full(shape, FIRST_PANEL, np.uint8)] * 6,
+        "fit": fits,
+    }
     return replace(six, ragged={**six.ragged, **{name: Ragged.of(rows) for name, rows in ragged.items()}})
 
 
