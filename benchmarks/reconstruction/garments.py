@@ -314,12 +314,19 @@ def _names(points: int, extra: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def read_folder(
-    source: str, *, points: int, extra: Sequence[str] = (), workers: int = 0, stage: str = "pattern", split: str = ""
+    source: str,
+    *,
+    points: int,
+    extra: Sequence[str] = (),
+    workers: int = 0,
+    stage: str = "pattern",
+    split: str = "",
+    most: int | None = None,
 ) -> GarmentSet:
     """The settled garments of a folder: patterns, GarmentCodeData as published, or a set that ``GarmentDataset`` opens.
 
-    ``split``: of the official split of the published layout, whose garments lack ``body`` and ``pose``. Raises
-    ``ConfigError`` for garments of another stage; ``pattern``: those of any.
+    ``split``: of the official split of the published layout, whose garments lack ``body`` and ``pose``. ``most``: the
+    first garments alone. Raises ``ConfigError`` for garments of another stage; ``pattern``: those of any.
     """
     folder, bodies = Path(source), None
     opened: Callable[..., Garments] = partial(GarmentDataset, source, dtype=None)
@@ -334,10 +341,11 @@ def read_folder(
     if stage not in ("pattern", held):  # points of box meshes and of drapes have one name
         raise ConfigError(f"{source}: garments of stage {held}: give garments made with --stage {stage}")
     if patterns:
-        return _read_patterns(source, patterns)
+        return _read_patterns(source, patterns[:most])
     stream = _Stream(_Packed(points, tuple(extra), bodies), _views_on_gpu(extra, "auto", bodies), workers)
     read = [name for name in read if name != "body" or not split]
     found = opened(fields=read, transform=stream.transform(_itself))
+    found = found.select(range(len(found))[:most])
     parts = [part for _, part in _portions(stream.encoded(found, _itself), 0, len(found))]
     if not parts:
         raise ConfigError(f"{found!r}: no garment that settled: give another data set")

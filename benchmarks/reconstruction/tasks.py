@@ -113,8 +113,8 @@ class ReconstructionTask:
             train = generated(count, TRAIN_SEED, share=share, **make)
             return Split(train, generated(checked, CHECK_SEED, **make), tests(test_source))
         if is_published(Path(source)):
-            train, check = (self._read(source, workers, split) for split in ("train", "validation"))
-            check = check.select(range(min(checked, len(check))))
+            train = self._read(source, workers, "train", count)
+            check = self._read(source, workers, "validation", checked)
             split = Split(train, check, tests(test_source or source), apart=("designs",))
         else:
             test = tests(test_source) if test_source else None
@@ -128,18 +128,17 @@ class ReconstructionTask:
             if (other.asked, other.points) != (self.asked, self.points):
                 raise ConfigError(f"--test-source {source}: {self.name} has other inputs or answers: give a folder")
             return generated(tested or other.tested, TEST_SEED, **other._making(**making))
-        found = self._read(source, making["workers"], "test")
-        return found.select(range(min(tested or self.tested, len(found))))
+        return self._read(source, making["workers"], "test", tested or self.tested)
 
-    def _read(self, source: str, workers: int, split: str = "") -> GarmentSet:
-        """The garments of a folder or repository; ``split``: of the official split, if it has one."""
+    def _read(self, source: str, workers: int, split: str = "", most: int | None = None) -> GarmentSet:
+        """The garments of a folder or repository, at most ``most``; ``split``: of the official split, if it has one."""
         split = split if is_published(Path(source)) else ""
         if split and self.name in OF_BODIES:
             raise ConfigError(
                 f"{source}: no shape weights of the wearers, which {self.name} needs: give other garments"
             )
         make: dict[str, Any] = {"points": self.points, "extra": self.extra, "workers": workers}
-        return read_folder(source, stage=self.stage, split=split, **make)
+        return read_folder(source, stage=self.stage, split=split, most=most, **make)
 
     def validation(self, most: int, *, data: Path | None = None, workers: int = 0, **changes: Any) -> GarmentSet:
         """The garments on which weights, options and records are chosen, at most ``most`` of each part.
