@@ -322,16 +322,18 @@ def read_folder(
     stage: str = "pattern",
     split: str = "",
     most: int | None = None,
+    cache: Path | None = None,
 ) -> GarmentSet:
     """The settled garments of a folder: patterns, GarmentCodeData as published, or a set that ``GarmentDataset`` opens.
 
-    ``split``: of the official split of the published layout, whose garments lack ``body`` and ``pose``. ``most``: the
-    first garments alone. Raises ``ConfigError`` for garments of another stage; ``pattern``: those of any.
+    ``split``: of the official split of the published layout, whose garments lack ``body`` and ``pose``. ``cache``:
+    folder for what it unpacks, by default that layout. ``most``: the first garments alone. Raises ``ConfigError`` for
+    garments of another stage; ``pattern``: those of any.
     """
     folder, bodies = Path(source), None
     opened: Callable[..., Garments] = partial(GarmentDataset, source, dtype=None)
     if split:
-        batches, extra = PublishedBatches(folder), [name for name in extra if name != "pose"]
+        batches, extra = PublishedBatches(folder, cache_dir=cache), [name for name in extra if name != "pose"]
         opened = partial(PublishedGarmentCodeData, batches, split, dtype=None)
         bodies = partial(published_body, batches.root)
     patterns = [] if split or not folder.is_dir() else sorted(folder.rglob("*_specification.json"))

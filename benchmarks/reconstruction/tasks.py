@@ -113,12 +113,12 @@ class ReconstructionTask:
             train = generated(count, TRAIN_SEED, share=share, **make)
             return Split(train, generated(checked, CHECK_SEED, **make), tests(test_source))
         if is_published(Path(source)):
-            train = self._read(source, workers, "train", count)
-            check = self._read(source, workers, "validation", checked)
+            train = self._read(source, data, workers, "train", count)
+            check = self._read(source, data, workers, "validation", checked)
             split = Split(train, check, tests(test_source or source), apart=("designs",))
         else:
             test = tests(test_source) if test_source else None
-            split = split_off(self._read(source, workers), tested or self.tested, checked=checked, test=test)
+            split = split_off(self._read(source, data, workers), tested or self.tested, checked=checked, test=test)
         return split.first(count, *share)
 
     def _tests(self, source: str, tested: int, **making: Any) -> GarmentSet:
@@ -128,16 +128,18 @@ class ReconstructionTask:
             if (other.asked, other.points) != (self.asked, self.points):
                 raise ConfigError(f"--test-source {source}: {self.name} has other inputs or answers: give a folder")
             return generated(tested or other.tested, TEST_SEED, **other._making(**making))
-        return self._read(source, making["workers"], "test", tested or self.tested)
+        return self._read(source, making["data"], making["workers"], "test", tested or self.tested)
 
-    def _read(self, source: str, workers: int, split: str = "", most: int | None = None) -> GarmentSet:
+    def _read(
+        self, source: str, data: Path | None, workers: int, split: str = "", most: int | None = None
+    ) -> GarmentSet:
         """The garments of a folder or repository, at most ``most``; ``split``: of the official split, if it has one."""
         split = split if is_published(Path(source)) else ""
         if split and self.name in OF_BODIES:
             raise ConfigError(
                 f"{source}: no shape weights of the wearers, which {self.name} needs: give other garments"
             )
-        make: dict[str, Any] = {"points": self.points, "extra": self.extra, "workers": workers}
+        make: dict[str, Any] = {"points": self.points, "extra": self.extra, "workers": workers, "cache": data}
         return read_folder(source, stage=self.stage, split=split, most=most, **make)
 
     def validation(self, most: int, *, data: Path | None = None, workers: int = 0, **changes: Any) -> GarmentSet:

@@ -87,6 +87,7 @@ def test_published_garments_test_a_training_on_ours(published: str, tmp_path: Pa
     assert (low, high) == pytest.approx((52.6, 108.6), abs=0.3)  # the drape's box in expected.json
     assert np.isnan(split.test.ragged["design"].rows).mean() < 0.2
     assert "pose" not in split.test.ragged
+    assert not list(Path(published).rglob(".*"))  # what is unpacked lies in the cache
     for name, told in (("T0", "garments of stage drape"), ("T5", "no shape weights of the wearers, which T5 needs")):
         with pytest.raises(ConfigError, match=told):
             TASKS[name].load(1, test_source=published, **options)
