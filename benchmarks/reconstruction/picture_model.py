@@ -117,10 +117,8 @@ class PicturedExamples(TensorExamples):
 
 def pictures_of(garments: GarmentSet) -> dict[str, Tensor]:
     """The columns of ``PicturedExamples``, on a CPU."""
-    count = range(len(garments))
-    return {
-        name: torch.from_numpy(np.stack([garments.ragged[name][k] for k in count])) for name in ("pictures", "shown")
-    }
+    rows = {name: [garments.ragged[name][k] for k in range(len(garments))] for name in ("pictures", "shown")}
+    return {name: torch.from_numpy(np.stack(arrays)) for name, arrays in rows.items()}
 
 
 @dataclass(frozen=True)

@@ -136,9 +136,7 @@ class ReconstructionTask:
         """The garments of a folder or repository, at most ``most``; ``split``: of the official split, if it has one."""
         split = split if is_published(Path(source)) else ""
         if split and self.name in OF_BODIES:
-            raise ConfigError(
-                f"{source}: no shape weights of the wearers, which {self.name} needs: give other garments"
-            )
+            raise ConfigError(f"{source}: no shape weights of the wearers, which {self.name} needs: give others")
         make: dict[str, Any] = {"points": self.points, "extra": self.extra, "workers": workers, "cache": data}
         return read_folder(source, stage=self.stage, split=split, most=most, **make)
 
