@@ -2,10 +2,10 @@
 
 Proposed designs are draped at once. The nearest to the scan are refined: ``drape_jacobian`` gives a linear map from
 their real parameters to their drape, which Gauss-Newton steps bring onto the scan, and the next map is made at the
-nearest of these. Choices, such as the kind of a sleeve, stay those of the proposal. Patterns that differ by millimetres
-fold in different ways, and their drapes lie some millimetres apart: so the choices of the first proposal, the likeliest,
-give way to others only for a clearly nearer drape, and neighbours that happen to fold as the scan does count in the
-last rounds alone, where they differ little.
+nearest of these. Choices, such as the kind of a sleeve, stay those of the proposal. Patterns that differ by
+millimetres fold in different ways, and their drapes lie some millimetres apart: so the choices of the first proposal,
+the likeliest, give way to others only for a clearly nearer drape, and neighbours that happen to fold as the scan does
+count in the last rounds alone, where they differ little.
 """
 
 from collections.abc import Callable, Iterable, Sequence

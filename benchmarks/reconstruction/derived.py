@@ -12,9 +12,11 @@ from scipy.spatial import cKDTree
 from trimesh.triangles import closest_point
 
 from benchmarks.reconstruction.design_codes import encode_design
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR, MapName
 from gcd_dataset.loaders import VIEW_FIELDS, Scan, Views
 from gcd_dataset.loaders.base import Item
+from gcd_dataset.loaders.scenes import BodyOf
 from gcd_dataset.records import BodyPart, EdgeRole
 from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES, POINTS, SCAN_SIZE
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, PanelColumn
@@ -39,6 +41,9 @@ PANEL_NAMES = (
     *(f"{name}_{number}" for name, count in MOST_NUMBERED.items() for number in range(count)),
 )
 """All names of panels that the generator draws, which are GarmentCode's; a garment has each at most once."""
+RINGS = ("bust", "waist", "hips")
+FIT = ("sizes", *RINGS)
+"""Sizes from the wearer's to the one that a garment is cut for; ease of the cloth as cut at three rings [cm]."""
 CANDIDATES = 4  # triangles whose distance to a point is measured
 SIDES = {"left": "right", "right": "left", "_l": "_r", "_r": "_l"}
 ROW_OF_NAME = {name: row for row, name in enumerate(PANEL_NAMES)}
@@ -74,13 +79,15 @@ class Derived:
     of: Callable[[Item], np.ndarray]
 
 
-def derived_arrays(item: Item, names: Sequence[str]) -> dict[str, np.ndarray]:
+def derived_arrays(item: Item, names: Sequence[str], bodies: BodyOf | None = None) -> dict[str, np.ndarray]:
     """Arrays of an item by name: derived ones, and fields of the item.
 
-    Pictures that the item lacks are rendered on a CPU.
+    Pictures that the item lacks are rendered on a CPU. ``bodies``: the wearers of items without shape weights.
     """
     if "views" not in item and not {"pictures", "shown"}.isdisjoint(names):
-        item = picture_views("cpu")(item)
+        item = picture_views("cpu", bodies)(item)
+    if "scan" in names:
+        item = Scan(n=1, points=POINTS, size=SCAN_SIZE, bodies=bodies)(item)
     return {name: DERIVED[name].of(item) if name in DERIVED else item[name].numpy() for name in names}
 
 
@@ -145,13 +152,21 @@ def _pose(item: Item) -> np.ndarray:
 
 
 def _scan(item: Item) -> np.ndarray:
-    scanned = Scan(n=1, points=POINTS, size=SCAN_SIZE)(item)
-    return np.asarray(scanned["scan"].numpy())
+    return np.asarray(item["scan"].numpy())
 
 
-def picture_views(device: str) -> Views:
+def picture_views(device: str, bodies: BodyOf | None = None) -> Views:
     """Renders the pictures of items on a device; ``auto`` is a GPU where there is one."""
-    return Views(n=PICTURES, size=PICTURE_SIZE, maps=MAPS, device=device)
+    return Views(n=PICTURES, size=PICTURE_SIZE, maps=MAPS, device=device, bodies=bodies)
+
+
+def _fit(item: Item) -> np.ndarray:
+    fit = item["meta"].get("fit") or {}
+    if "step" not in fit or "ease" not in fit:
+        raise ConfigError(f"{item['meta']['key']} has no size and ease: give garments made with --sizes and --ease")
+    rings = [fit["ease"][name] for name in RINGS]
+    ease = [np.nan if ring["cloth"] is None else ring["cloth"] - ring["body"] for ring in rings]
+    return np.array([[fit["step"], *ease]], np.float32)
 
 
 def _pictures(item: Item) -> np.ndarray:
@@ -168,6 +183,7 @@ DERIVED: Mapping[str, Derived] = {
     "box_labels": _labels_of("box"),
     "draped_labels": _labels_of("verts"),
     "design": Derived(("design",), _design),
+    "fit": Derived(("meta",), _fit),
     "panel_classes": Derived(("meta",), _panel_classes),
     "panel_names": Derived(("meta",), _panel_names),
     "pictures": Derived(VIEW_FIELDS, _pictures),
@@ -178,10 +194,10 @@ DERIVED: Mapping[str, Derived] = {
 """``box_labels``, ``draped_labels`` (n, 3): labels of each surface point, u8. The first is the class of the panel of
 the nearest triangle, a row of ``PANEL_CLASSES``. The others are those of its nearest corner: the label of the edge, a
 row of ``EDGE_LABELS``, and 1 on a seam. Bands along edges and seams are therefore about as wide as a triangle;
-``design`` (1, d): parameters, as ``encode_design``; ``panel_classes`` (p): rows of ``PANEL_CLASSES``;
-``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart;
-``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth, lights and places, u8 sRGB; ``shown`` (``PICTURES``, h, w):
-what their pixels show, u8 as ``pixel_labels``;
+``design`` (1, d): parameters, as ``encode_design``; ``fit`` (1, 4): ``FIT``, NaN for a ring without cloth;
+``panel_classes`` (p): rows of ``PANEL_CLASSES``; ``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others;
+``pose`` (1, 2): angle of the arms [rad], 1 for legs apart; ``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth,
+lights and places, u8 sRGB; ``shown`` (``PICTURES``, h, w): what their pixels show, u8 as ``pixel_labels``;
 ``scan`` (``POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured none."""
 
 

@@ -64,7 +64,7 @@ def _at(values: Mapping[str, Any], path: str) -> Any:
         if not isinstance(node, Mapping) or key not in node:
             return _MISSING
         node = node[key]
-    return node
+    return node.get("v", node) if isinstance(node, Mapping) else node  # published designs have entries with ranges
 
 
 _MISSING = object()

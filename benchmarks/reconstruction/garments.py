@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar, cast
@@ -14,19 +14,23 @@ from zipfile import BadZipFile
 import numpy as np
 from jaxtyping import Float, Int
 
-from benchmarks.reconstruction.derived import CENTRE, POINT_LABELS, derived_arrays, item_fields, picture_views
+from benchmarks.reconstruction.derived import CENTRE, DERIVED, POINT_LABELS, derived_arrays, item_fields, picture_views
 from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.exports.published import garment_type
 from gcd_dataset.files import make_folder, open_whole
-from gcd_dataset.loaders import FreshGarments, GarmentDataset, GeneratedGarments, Views
+from gcd_dataset.loaders import FreshGarments, GarmentDataset, GeneratedGarments, PublishedGarmentCodeData, Views
 from gcd_dataset.loaders.base import Garments, Item
+from gcd_dataset.loaders.scenes import BodyOf
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.records import Outcome, Pattern
+from gcd_dataset.release.batches import PublishedBatches
+from gcd_dataset.release.bodies import published_body
 from gcd_dataset.scoring.inputs import SEED
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import key_of
+from gcd_dataset.spec import read_pattern
 from gcd_dataset.tensors import (
     EDGE_LABELS,
     PANEL_LABELS,
@@ -35,6 +39,7 @@ from gcd_dataset.tensors import (
     PatternTensor,
     StitchColumn,
     decode_pattern,
+    encode_pattern,
     sewn_rows,
 )
 
@@ -97,7 +102,7 @@ class GarmentSet:
     bodies: Int[np.ndarray, " g"]
     """Hash of the body's shape."""
     shapes: Float[np.ndarray, "g k"]
-    """Weights of the body's shape components."""
+    """Weights of the body's shape components; k is 0 where they are unknown."""
     measures: Float[np.ndarray, "g m"]
     """The body's measures, in the order of ``MEASURES`` [cm, degrees]."""
     points: Float[np.ndarray, "g n 6"]
@@ -305,23 +310,65 @@ def _names(points: int, extra: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def read_folder(
-    source: str, *, points: int, extra: Sequence[str] = (), workers: int = 0, stage: str = "pattern"
+    source: str,
+    *,
+    points: int,
+    extra: Sequence[str] = (),
+    workers: int = 0,
+    stage: str = "pattern",
+    split: str = "",
+    most: int | None = None,
+    cache: Path | None = None,
 ) -> GarmentSet:
-    """The settled garments of a folder, URL or Hub repository that ``GarmentDataset`` opens.
+    """The settled garments of a folder: patterns, GarmentCodeData as published, or a set that ``GarmentDataset`` opens.
 
-    Raises ``ConfigError`` for garments of another stage; ``pattern``: those of any.
+    ``split``: of the official split of the published layout, whose garments lack ``body`` and ``pose``. ``cache``:
+    folder for what it unpacks, by default that layout. ``most``: the first garments alone. Raises ``ConfigError`` for
+    garments of another stage; ``pattern``: those of any.
     """
+    folder, bodies = Path(source), None
+    opened: Callable[..., Garments] = partial(GarmentDataset, source, dtype=None)
+    if split:
+        batches, extra = PublishedBatches(folder, cache_dir=cache), [name for name in extra if name != "pose"]
+        opened = partial(PublishedGarmentCodeData, batches, split, dtype=None)
+        bodies = partial(published_body, batches.root)
+    patterns = [] if split or not folder.is_dir() else sorted(folder.rglob("*_specification.json"))
     names, read = _names(points, extra)
-    fields = GarmentDataset(source, dtype=None).fields
+    fields = PATTERN if patterns else opened().fields
     held = "drape" if "verts" in fields else "mesh" if "faces" in fields else "pattern"
     if stage not in ("pattern", held):  # points of box meshes and of drapes have one name
         raise ConfigError(f"{source}: garments of stage {held}: give garments made with --stage {stage}")
-    stream = _Stream(_Packed(points, tuple(extra)), _views_on_gpu(extra, "auto"), workers)
-    found = GarmentDataset(source, fields=read, dtype=None, transform=stream.transform(_itself))
+    if patterns:
+        return _read_patterns(source, patterns[:most])
+    stream = _Stream(_Packed(points, tuple(extra), bodies), _views_on_gpu(extra, "auto", bodies), workers)
+    read = [name for name in read if name != "body" or not split]
+    found = opened(fields=read, transform=stream.transform(_itself))
+    found = found.select(range(len(found))[:most])
     parts = [part for _, part in _portions(stream.encoded(found, _itself), 0, len(found))]
     if not parts:
         raise ConfigError(f"{found!r}: no garment that settled: give another data set")
-    return replace(GarmentSet.join(parts), recipe={"source": source, "points": points, "fields": sorted(names)})
+    recipe = {"source": source, "points": points, "fields": sorted(names), **({"split": split} if split else {})}
+    return replace(GarmentSet.join(parts), recipe=recipe)
+
+
+def _read_patterns(source: str, paths: Sequence[Path]) -> GarmentSet:
+    """Garments of specification files, without wearers and points; ``skirt_00012`` and ``skirt_7`` are of one kind.
+
+    Raises ``PatternError`` with the file that cannot be read.
+    """
+    kinds = [path.stem.removesuffix("_specification").rstrip("_0123456789") for path in paths]
+    found, count = [encode_pattern(read_pattern(path)) for path in paths], len(paths)
+    return GarmentSet(
+        keys=tuple(f"0_{k:09d}" for k in range(count)),
+        kinds=tuple(kinds),
+        designs=np.array([_number(kind.encode()) for kind in kinds]),
+        bodies=np.array([_number(bytes(path)) for path in paths]),
+        shapes=np.zeros((count, 0), np.float32),
+        measures=np.full((count, len(MEASURES)), np.nan, np.float32),
+        points=np.zeros((count, 0, 6), np.float16),
+        ragged={name: Ragged.of([getattr(tensor, name) for tensor in found]) for name in PATTERN},
+        recipe={"source": source, "files": [path.name for path in paths]},
+    )
 
 
 def fresh_garments(
@@ -369,7 +416,7 @@ class _Stream:
         if self.views is None:
             yield from ((k, cast(Encoded, one)) for k, one in enumerate(fresh, first) if one is not None)
         else:
-            settled = filter(_is_settled, fresh)
+            settled = filter(self.pack.keeps, fresh)
             batches = iter(lambda: list(islice(settled, TOGETHER)), [])
             shown = (item for items in self.views.batches(batches) for item in items)
             yield from ((int(item["meta"]["index"]), encode(self.pack(item))) for item in shown)
@@ -379,7 +426,7 @@ def _itself(garments: GarmentSet) -> GarmentSet:
     return garments
 
 
-def _views_on_gpu(extra: Sequence[str], drapes: str) -> Views | None:
+def _views_on_gpu(extra: Sequence[str], drapes: str, bodies: BodyOf | None = None) -> Views | None:
     """Renders the pictures of a set on a GPU; ``None`` without one, or for a set without pictures.
 
     ``drapes``: device of its drapes. The first GPU that it names renders; if it names none, that of this process.
@@ -387,40 +434,43 @@ def _views_on_gpu(extra: Sequence[str], drapes: str) -> Views | None:
     if "pictures" not in extra:
         return None
     gpus = [] if drapes == "auto" else [device for device in named_devices(drapes) if device != "cpu"]
-    views = picture_views(next(iter(gpus), "auto"))
+    views = picture_views(next(iter(gpus), "auto"), bodies)
     return None if views.device == "cpu" else views
-
-
-def _is_settled(item: Item) -> bool:
-    return (item["meta"].get("drape") or {}).get("outcome", "") in ("", Outcome.SETTLED.name)
 
 
 @dataclass(frozen=True)
 class _Packed:
-    """Transform of a data set: item to a ``GarmentSet`` of one garment, or of none if its drape did not settle."""
+    """Transform of a data set: item to a ``GarmentSet`` of one garment, or of none that it does not keep."""
 
     points: int
     extra: tuple[str, ...]
+    bodies: BodyOf | None = None
+    """The wearers of garments without shape weights."""
 
     def __call__(self, item: Item) -> GarmentSet:
         meta, design = item["meta"], item["design"]
         measures = np.array([item["measures"].get(name, np.nan) for name in MEASURES], dtype=np.float32)
-        body = item["body"].numpy()
-        arrays = derived_arrays(item, (*PATTERN, *self.extra))
+        body = item["body"].numpy().astype(np.float32) if "body" in item else np.zeros(0, np.float32)
+        arrays = derived_arrays(item, (*PATTERN, *self.extra), self.bodies)
         points = self._points(arrays.pop("scan", None), item)
         ragged = {name: Ragged.of([array]) for name, array in arrays.items()}
         found = GarmentSet(
             keys=(name_of(meta["seed"], meta["index"]),),
             kinds=(garment_type(design)["main"],),
             designs=np.array([_number(json.dumps(design, sort_keys=True).encode())]),
-            bodies=np.array([_number(body.astype(np.float32).tobytes())]),
-            shapes=body[None].astype(np.float32),
+            bodies=np.array([_number(body.tobytes() or meta["body"].encode())]),
+            shapes=body[None],
             measures=measures[None],
             points=points[None],
             ragged=ragged,
             recipe={},
         )
-        return found if _is_settled(item) else found.select([])
+        return found if self.keeps(item) else found.select([])
+
+    def keeps(self, item: Item) -> bool:
+        """Whether the drape settled, and, where the fit is asked, there is a ring with cloth."""
+        is_settled = (item["meta"].get("drape") or {}).get("outcome", "") in ("", Outcome.SETTLED.name)
+        return is_settled and ("fit" not in self.extra or bool(np.isfinite(DERIVED["fit"].of(item)[0, 1:]).any()))
 
     def _points(self, scan: np.ndarray | None, item: Item) -> Float[np.ndarray, "n 6"]:
         if not self.points:
@@ -469,10 +519,12 @@ class Split:
     train: GarmentSet
     check: GarmentSet
     test: GarmentSet
+    apart: tuple[str, ...] = ("designs", "bodies")
+    """What must not be shared: the official split of GarmentCodeData separates designs alone."""
 
     def __post_init__(self) -> None:
         for name, other in (("test", self.test), ("check", self.check)):
-            for what in ("designs", "bodies"):
+            for what in self.apart:
                 shared = np.intersect1d(getattr(self.train, what), getattr(other, what))
                 if len(shared):
                     raise ConfigError(f"{len(shared)} {what} are in train and {name}: split the garments again")
@@ -486,7 +538,8 @@ class Split:
         """Trained without a kind of garment, tested on that kind alone. Raises ``ConfigError``."""
         if kind not in self.test.kinds:
             raise ConfigError(f"no {kind} to test on: choose one of {', '.join(sorted(set(self.test.kinds)))}")
-        return Split(
+        return replace(
+            self,
             train=self.train.select([k for k, name in enumerate(self.train.kinds) if name != kind]),
             check=self.check.select([k for k, name in enumerate(self.check.kinds) if name != kind]),
             test=self.test.select([k for k, name in enumerate(self.test.kinds) if name == kind]),
@@ -497,20 +550,22 @@ class Split:
         return replace(self, train=self.train.select(range(first, min(count, len(self.train)), step)))
 
 
-def split_off(garments: GarmentSet, designs: int, *, checked: int = 32, seed: int = 0) -> Split:
+def split_off(
+    garments: GarmentSet, designs: int, *, checked: int = 32, seed: int = 0, test: GarmentSet | None = None
+) -> Split:
     """Split a set by design and by body: ``designs`` to test on and ``checked`` to check, drawn by ``seed``.
 
-    At most half of the designs are tested on. All garments of a design are on one side. Garments of the other sides on
-    bodies that training garments wear are left out. The training set is in random order. Raises ``ConfigError`` if a
-    side is empty.
+    ``test``: garments of another source to test on instead. At most half of the designs are tested on. All garments of
+    a design are on one side. Garments of the other sides on bodies that training garments wear are left out. The
+    training set is in random order. Raises ``ConfigError`` if a side is empty.
     """
     every = rng(seed, 0, Stage.SPLIT).permutation(np.unique(garments.designs))
-    tested = min(designs, len(every) // 2)
+    tested = 0 if test is not None else min(designs, len(every) // 2)
     checked = min(checked, (len(every) - tested) // 2)
     known = ~np.isin(garments.designs, every[: tested + checked])
     own = ~np.isin(garments.bodies, garments.bodies[known])
     return Split(
         train=garments.select(rng(seed, 1, Stage.SPLIT).permutation(np.flatnonzero(known))),
         check=garments.select(np.flatnonzero(np.isin(garments.designs, every[tested : tested + checked]) & own)),
-        test=garments.select(np.flatnonzero(np.isin(garments.designs, every[:tested]) & own)),
+        test=test or garments.select(np.flatnonzero(np.isin(garments.designs, every[:tested]) & own)),
     )

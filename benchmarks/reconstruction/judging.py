@@ -1,7 +1,7 @@
 """Scores, pictures and files of the answers to a task: one ``Judge`` for each kind of answer."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, astuple, dataclass, fields, make_dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from benchmarks.reconstruction.derived import CENTRE
+from benchmarks.reconstruction.derived import CENTRE, FIT
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.tasks import ReconstructionTask
 from gcd_dataset.files import make_folder, open_whole, write_whole
@@ -43,9 +43,16 @@ def judge_of(task: ReconstructionTask, *, watching: bool = False) -> Judge:
     """The judge of a task; ``watching``: without scores that take long, to watch a training."""
     if task.name == "T4":
         return Vertices()
-    if task.name == "T5":
-        return Measures()
+    if task.name in ("T5", "T7"):
+        return (
+            Numbers(MEASURES, numbers_of, score_measures) if task.name == "T5" else Numbers(FIT, numbers_of, score_fit)
+        )
     return Drapes(crossings=not watching) if task.name == "T6" else Patterns(draped=bool(task.options.get("drape")))
+
+
+def numbers_of(garments: GarmentSet) -> Float[np.ndarray, "g n"]:
+    """The rows of ``FIT`` of garments that have them, else of ``MEASURES``."""
+    return garments.ragged["fit"].rows if "fit" in garments.ragged else garments.measures
 
 
 def means_of(scores: Sequence[Any]) -> dict[str, float]:
@@ -148,24 +155,31 @@ class Vertices:
                 np.savez_compressed(file, **vars(answer))
 
 
-# -------------------------------------------------------------------------------------------------------- the measures
+# --------------------------------------------------------------------------------------- the measures, size and ease
 
 
-class Measures:
-    """Answers are rows of ``MEASURES`` [cm, degrees], written as ``predictions/KEY.json``."""
+@dataclass(frozen=True)
+class Numbers:
+    """Answers are rows of numbers, written by name as ``predictions/KEY.json``."""
+
+    names: Sequence[str]
+    truth: Callable[[GarmentSet], np.ndarray]
+    """The true rows of garments."""
+    score: Callable[[np.ndarray, np.ndarray], Any]
+    """The scores of an answer, and the truth."""
 
     def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
-        return [score_measures(answer, garments.measures[k]) for k, answer in enumerate(answers)]
+        return [self.score(*pair) for pair in zip(answers, self.truth(garments), strict=True)]
 
     def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:
-        """A plot for each measure: the truth to the right, the answer upwards, and the line where they agree."""
-        pairs = np.stack([garments.measures, np.stack(answers)], axis=-1)
-        return contact_sheet([_plot(name, pairs[:, k]) for k, name in enumerate(MEASURES)], columns=7)
+        """A plot for each number: the truth to the right, the answer upwards, and the line where they agree."""
+        pairs = np.stack([self.truth(garments), np.stack(answers)], axis=-1)
+        return contact_sheet([_plot(name, pairs[:, k]) for k, name in enumerate(self.names)], columns=7)
 
     def write(self, answers: Sequence[Any], garments: GarmentSet, out: Path) -> None:
         folder = make_folder(out / "predictions")
         for key, answer in zip(garments.keys, answers, strict=True):
-            values = dict(zip(MEASURES, np.asarray(answer, float).round(3).tolist(), strict=True))
+            values = dict(zip(self.names, np.asarray(answer, float).round(3).tolist(), strict=True))
             write_whole(folder / f"{key}.json", json.dumps(values, indent=1).encode())
 
 
@@ -269,3 +283,27 @@ def score_measures(answer: Float[np.ndarray, " m"], true: Float[np.ndarray, " m"
     errors = np.abs(np.asarray(answer, float) - np.asarray(true, float))
     angle = np.array([name in ANGLES for name in MEASURES])
     return MeasureScore(float(errors[~angle].mean()), float(errors[angle].mean()), *errors.tolist())
+
+
+@dataclass(frozen=True)
+class FitScore:
+    """Errors of the size and the ease of a garment on its wearer."""
+
+    error_cm: float
+    """Mean absolute error of the ease at the rings that the garment has."""
+    error_sizes: float
+    """Absolute error of the number of sizes between wearer and garment."""
+
+
+def score_fit(answer: Float[np.ndarray, "4"], true: Float[np.ndarray, "4"]) -> FitScore:
+    """The scores of an answer in the order of ``FIT``; NaN in the truth: a ring without cloth.
+
+    Raises ``ValueError`` for an answer that lacks a number.
+
+    >>> score_fit(np.array([1.0, 5.0, 2.0, 40.0]), np.array([-1.0, 3.0, 2.0, np.nan]))
+    FitScore(error_cm=1.0, error_sizes=2.0)
+    """
+    if np.shape(answer) != np.shape(true) or not np.isfinite(answer).all():
+        raise ValueError(f"{answer}: give {len(true)} numbers: {', '.join(FIT)}")
+    errors = np.abs(np.asarray(answer, float) - true)
+    return FitScore(float(np.nanmean(errors[1:])), float(errors[0]))

@@ -4,6 +4,7 @@ import argparse
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
 from typing import Any
 
 from benchmarks.reconstruction.models import load_model
@@ -37,6 +38,8 @@ class Config:
                            "record; 500: all; 0: the last weights answer, and 32 garments are watched")  # fmt: skip
     data: str = option("", "folder that keeps generated garments; empty: garments beside --out")
     source: str = option("", "folder, URL or Hub repository of garments to use instead of generated ones")
+    test_source: str = option("", "another source of the garments to test on: a folder as for --source, a task such as "
+                              "T1-scan, or generated; its results lie in a folder of --out")  # fmt: skip
     leave_out: str = option("", "kind of garment to test on, and not to train on: dress, skirt, …")
     fresh: int = option(0, "room for the garments of --train and those made in the training; 0: none are made")
     make_device: str = option("auto", "device that drapes garments, such as cuda:3 beside a training on the others")
@@ -44,7 +47,6 @@ class Config:
     resolution: float = option(0.0, "edge length of generated meshes and of drapes [cm]; 0: the task's own")
     workers: int = option(-1, "processes that make, encode and score; -1: all cores but one, shared by the ranks")
     drape: bool = option(default=False, text="also score drapes of the answers; a finished run is only draped")
-    examples: str = option("", "T3: folder of specification files that are scored, too (T7)")
     sizes: Mapping[str, float] = field(
         default_factory=dict, metadata={"help": "sizes of the network, such as width=256"}
     )
@@ -76,6 +78,11 @@ class Config:
             raise ConfigError(f"{given} {below}: give the first three above 0, the others below 1")
         if self.fresh and self.fresh < self.train:
             raise ConfigError(f"--fresh {self.fresh}: give room for the {self.train} garments of --train, and more")
+
+    @property
+    def results(self) -> Path:
+        """The folder of the answers and their scores: a test source has its own, beside the weights that it tests."""
+        return Path(self.out) / f"on-{Path(self.test_source).name}" if self.test_source else Path(self.out)
 
     @property
     def identity(self) -> dict[str, Any]:

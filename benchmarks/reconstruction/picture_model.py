@@ -7,15 +7,21 @@ Besides, each token says what the pixels of its cell show, and where one panel b
 network to which all pictures were new predicted the same panels for every picture.
 """
 
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.reconstruction.derived import FIRST_PANEL, SHOWN_CLASSES
-from benchmarks.reconstruction.learners import uploaded
+from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.learners import TensorExamples, uploaded
 from benchmarks.reconstruction.point_net import EncoderConfig, encoder, some_of
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.scoring.inputs import PICTURES
 from gcd_dataset.tensors import PANEL_LABELS
 
 STRIDE = 8  # pixels along each side of a token's cell
@@ -28,15 +34,21 @@ SHOWN_WEIGHT, BORDER_WEIGHT = 2.0, 4.0
 """Weights of the losses of what pixels show and of borders, relative to the losses of panels."""
 
 
+Pictured = TypeVar("Pictured", bound="PicturedExamples")
+
+
 class PictureTokens(nn.Module):
     """Pictures to tokens of their cells, related to each other."""
 
     def __init__(self, config: EncoderConfig, *, views: int, size: int, seen: int = 0) -> None:
         """``seen``: cells of a garment in a training step, others in each step; 0: all, as in an answer.
 
-        Raises ``ConfigError`` for a width whose quarter has no ``GROUPS`` equal parts.
+        Raises ``ConfigError`` for a width whose quarter has no ``GROUPS`` equal parts, and for more pictures than
+        garments have.
         """
         super().__init__()
+        if not 1 <= views <= PICTURES:
+            raise ConfigError(f"views {views}: give 1 to {PICTURES}")
         width, side = config.width, size // STRIDE
         if width % (4 * GROUPS):
             raise ConfigError(f"width {width}: give a multiple of {4 * GROUPS}")
@@ -92,6 +104,43 @@ class PictureTokens(nn.Module):
         pixels = pictures.flatten(0, 1).permute(0, 3, 1, 2).float() / 127.5 - 1.0
         cells = self.cells(pixels).permute(0, 2, 3, 1).unflatten(0, pictures.shape[:2])
         return (cells + self.place + self.view[:, None, None]).flatten(1, 3)
+
+
+@dataclass(frozen=True)
+class PicturedExamples(TensorExamples):
+    """Pictures of garments."""
+
+    pictures: UInt8[Tensor, "b n h w 3"]
+    """sRGB"""
+    shown: UInt8[Tensor, "b n h w"]
+    """``pixel_labels`` of the pictures."""
+
+
+def pictures_of(garments: GarmentSet) -> dict[str, Tensor]:
+    """The columns of ``PicturedExamples``, on a CPU."""
+    rows = {name: [garments.ragged[name][k] for k in range(len(garments))] for name in ("pictures", "shown")}
+    return {name: torch.from_numpy(np.stack(arrays)) for name, arrays in rows.items()}
+
+
+@dataclass(frozen=True)
+class DrawnPictures(Generic[Pictured]):
+    """Examples with a new choice, order and distortion of their pictures in each step."""
+
+    whole: Pictured
+    views: int
+
+    def __len__(self) -> int:
+        return len(self.whole)
+
+    def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Pictured:
+        found = self.whole.batch(rows)
+        if chance is None:
+            return replace(found, pictures=found.pictures[:, : self.views], shown=found.shown[:, : self.views])
+        chosen = torch.randperm(found.pictures.shape[1], generator=chance)[: self.views]
+        numbers = 2 * torch.rand(len(self), len(chosen), NUMBERS, generator=chance)[rows] - 1
+        chosen = uploaded(chosen, found.device)
+        pictures, shown = distorted(found.pictures[:, chosen], found.shown[:, chosen], numbers)
+        return replace(found, pictures=pictures, shown=shown)
 
 
 def _by_part(pixels: Int[Tensor, "b n h w"], rows: Int[Tensor, "b t"] | None) -> Int[Tensor, "b t p c"]:

@@ -26,7 +26,7 @@ from benchmarks.reconstruction.judging import intervals, judge_of, means_of
 from benchmarks.reconstruction.learners import Examples, FreshPool, Learner, TensorExamples
 from benchmarks.reconstruction.options import OF_WEIGHTS, Config
 from benchmarks.reconstruction.processes import first_rank_first, of_all_ranks, rank, ranks
-from benchmarks.reconstruction.tasks import CHECKED, FRESH_SEED, TASKS, ReconstructionTask
+from benchmarks.reconstruction.tasks import CHECKED, FRESH_SEED, GENERATED, TASKS, ReconstructionTask
 from benchmarks.reconstruction.weights import WEIGHTS
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import drafted, make_folder, write_whole
@@ -74,8 +74,6 @@ def require_usable(config: Config, task: ReconstructionTask, model: Any, learner
         raise ConfigError(f"--resolution {config.resolution:g}: the garments of --source are made: leave it out")
     if config.drape and not (task.answers_patterns and "pose" in task.extra):
         raise ConfigError(f"{task.name} has no patterns or no bodies to drape: leave out --drape")
-    if config.examples and (task.name != "T3" or not Path(config.examples).is_dir()):
-        raise ConfigError(f"--examples {config.examples}: give a folder of specification files, with --task T3")
     if learner is None and (config.sizes or config.fresh or config.weights):
         raise ConfigError(f"{config.model} has no network and no training: leave out --set, --fresh and --weights")
     if learner is not None:
@@ -89,14 +87,14 @@ def load_split(config: Config, task: ReconstructionTask) -> Split:
     share: dict[str, Any] = {"share": (rank(), ranks()), "tested": config.test}
     with first_rank_first():
         workers = max(1, cores() - 1) if config.workers < 0 else config.workers
-        if config.source:
-            split = task.read(config.source, config.train, workers=workers, checked=config.validate, **share)
-        else:
-            data = Path(config.data) if config.data else Path(config.out).parent / "garments"
-            make: dict[str, Any] = {"data": data, "workers": workers, **_recipe(config, task)}
-            split = task.load(config.train, **share, **make)
-            if config.validate:
-                split = replace(split, check=task.validation(config.validate, **make))
+        data = Path(config.data) if config.data else Path(config.out).parent / "garments"
+        make: dict[str, Any] = {"data": data, "workers": workers, **_recipe(config, task)}
+        sources: dict[str, Any] = {"source": config.source, "test_source": config.test_source}
+        split = task.load(config.train, **sources, checked=config.validate if config.source else 0, **share, **make)
+        if config.validate and not config.source:
+            split = replace(split, check=task.validation(config.validate, **make))
+    if config.drape and "pose" not in split.test.ragged:
+        raise ConfigError(f"{config.test_source or config.source}: no bodies to drape on: leave out --drape")
     return split.without(config.leave_out) if config.leave_out else split
 
 
@@ -175,7 +173,7 @@ def show(rows: Sequence[Mapping[str, float]], out: Path | None) -> None:
 
 def kept_report(config: Config) -> dict[str, Any] | None:
     """The report in the folder, if any. Raises ``ConfigError`` for one of other options."""
-    path = Path(config.out) / REPORT
+    path = config.results / REPORT
     if not path.exists():
         return None
     try:
@@ -183,7 +181,7 @@ def kept_report(config: Config) -> dict[str, Any] | None:
         theirs = found["options"]
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"{path}: no report of a run ({error!s:.99}): delete it") from error
-    for name in (*OF_WEIGHTS, "test", "validate"):
+    for name in (*OF_WEIGHTS, "test", "validate", "test_source"):
         if theirs.get(name) != getattr(config, name):
             given = f"of a run with {name} {theirs.get(name)}, not {getattr(config, name)}"
             raise ConfigError(f"{path}: {given}: give another folder, or delete it")
@@ -204,7 +202,7 @@ def answered(
     data = {"train": _described(split.train)}
     if rank():
         return {}
-    begun, workers, test, out = time.perf_counter(), workers_of(config), split.test, make_folder(Path(config.out))
+    begun, workers, test, out = time.perf_counter(), workers_of(config), split.test, make_folder(config.results)
 
     def answers_for(garments: GarmentSet) -> list[Any]:
         if trained is None:
@@ -223,6 +221,7 @@ def answered(
     report = {
         "model": config.model,
         "task": task.name,
+        "tested_on": config.test_source or config.source or GENERATED,
         "headline": task.headline,
         "scores": intervals(scores),
         **validated,
@@ -238,7 +237,7 @@ def answered(
         "parameters": sum(p.numel() for p in trained.learner.parameters()) if trained else 0,
         "first_loss": trained.curve[0]["loss"] if trained else None,
         "last_loss": trained.curve[-1]["loss"] if trained else None,
-        **({"weights_sha256": hashlib.sha256((out / WEIGHTS).read_bytes()).hexdigest()} if trained else {}),
+        **({"weights_sha256": hashlib.sha256(Path(config.out, WEIGHTS).read_bytes()).hexdigest()} if trained else {}),
         **{name: round(value, 2) for name, value in times.items()},
         **(trained.learner.tables(split, config, out, workers=workers) if trained else {}),
     }  # fmt: skip
@@ -291,10 +290,10 @@ def draped(report: dict[str, Any], config: Config, task: ReconstructionTask) -> 
     """The report with the scores of the draped answers, which ``evaluation.json`` holds for each garment."""
     if all(name in report["scores"] for name in DRAPED):
         return report
-    out = Path(config.out)
-    inputs = out / "inputs" if task.name in ("T1", "T1-scan") else None
+    out, tested = config.results, config.test_source if config.test_source in TASKS else task.name
+    inputs = out / "inputs" if tested in ("T1", "T1-scan") else None
     device, spacing = "auto" if config.device == "cuda" else config.device, float(task.options["resolution"])
-    drapes = Drapes(inputs, task.name == "T1-scan", config.resolution or spacing, device)
+    drapes = Drapes(inputs, tested == "T1-scan", config.resolution or spacing, device)
     workers, bodies = max(1, workers_of(config)), str(out / "bodies")
     found = score(out / "predictions", out / "truth", bodies=bodies, drapes=drapes, workers=workers).tree()
     write_whole(out / EVALUATION, result_text(found).encode())

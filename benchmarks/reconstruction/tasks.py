@@ -1,23 +1,26 @@
 """The tasks T0 to T7: what is given, what is asked, the garments, and the score that heads the table.
 
-The garments of T0 to T6 are functions of a seed: the training set of seed ``TRAIN_SEED``, of which each size holds the
-smaller ones; the test set, garments of the frozen inputs of ``gcd bench``, the same designs in every task and for every
-size of the training set; and a few garments of ``CHECK_SEED`` to watch a training. ``Split`` checks that they share no
+The garments are functions of a seed: the training set of seed ``TRAIN_SEED``, of which each size holds the smaller
+ones; the test set, garments of the frozen inputs of ``gcd bench``, the same designs in every task and for every size
+of the training set; and a few garments of ``CHECK_SEED`` to watch a training. ``Split`` checks that they share no
 design and no body. Weights, options and records are chosen on the validation set, ``VALIDATION``, never on the test
 set.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from benchmarks.reconstruction.garments import GarmentSet, Split, generated, read_folder, split_off
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.filekinds import is_published
 from gcd_dataset.scoring.inputs import SEED
 
 TRAIN_SEED, CHECK_SEED, FRESH_SEED = 0, 2, 1000
 CHECKED = 32  # garments that watch a training
+GENERATED = "generated"  # the test source of the task's own garments
 SHIRTS = {"options": ["FittedShirt", "Shirt"]}
 VALIDATION: Sequence[tuple[int, int, Mapping[str, Any]]] = (
     (3, 500, {}),
@@ -34,6 +37,9 @@ each kind are left where some drapes do not settle."""
 MESH: Mapping[str, Any] = {"drape": None, "resolution": 2.0}
 PATTERN: Mapping[str, Any] = {"stage": "pattern", "drape": None}
 DRAPE: Mapping[str, Any] = {"drape": "warp", "resolution": 2.0}
+MISFIT: Mapping[str, Any] = {**DRAPE, "bodies": "female", "sizes": "women", "misfit": "-3:3", "ease": True}
+OF_BODIES = ("T5", "T6")
+"""Tasks that need the shape weights of the wearers."""
 POSE = ("pose",)
 """Fields of T0, T1 and T2: the bodies on which answers can be draped."""
 NAMED = (*POSE, "panel_names", "design")
@@ -86,6 +92,8 @@ class ReconstructionTask:
         self,
         count: int,
         *,
+        source: str = "",
+        test_source: str = "",
         data: Path | None = None,
         workers: int = 0,
         tested: int = 0,
@@ -93,22 +101,53 @@ class ReconstructionTask:
         share: tuple[int, int] = (0, 1),
         **changes: Any,
     ) -> Split:
-        """The garments; ``data``: folder that caches them. ``tested``, ``checked``: garments that test and that watch
-        a training, 0 for the usual number. ``share``: (r, n) for the training garments r, r + n … alone. ``changes``:
-        other ``options``."""
-        make = self._making(data, workers, changes)
-        return Split(
-            train=generated(count, TRAIN_SEED, share=share, **make),
-            check=generated(checked or min(CHECKED, count), CHECK_SEED, **make),
-            test=generated(tested or self.tested, SEED, **make),
-        )
+        """The garments: generated, or those of a folder or repository ``source``, split by design and body, or by the
+        official split if it is GarmentCodeData as published.
+
+        ``test_source``: another source of those that test: ``generated``, a task with the same answers, or as
+        ``source``. ``data``: folder that caches generated ones. ``tested``, ``checked``: garments that test and that
+        watch a training, 0 for the usual number. ``share``: (r, n) for the training garments r, r + n … alone.
+        ``changes``: other ``options``. Raises ``ConfigError`` for garments of another stage.
+        """
+        make, checked = self._making(data, workers, **changes), checked or min(CHECKED, count)
+        tests: Callable[[str], GarmentSet] = partial(self._tests, tested=tested, data=data, workers=workers, **changes)
+        if not source:
+            train = generated(count, TRAIN_SEED, share=share, **make)
+            return Split(train, generated(checked, CHECK_SEED, **make), tests(test_source))
+        if is_published(Path(source)):
+            train = self._read(source, data, workers, "train", count)
+            check = self._read(source, data, workers, "validation", checked)
+            split = Split(train, check, tests(test_source or source), apart=("designs",))
+        else:
+            test = tests(test_source) if test_source else None
+            split = split_off(self._read(source, data, workers), tested or self.tested, checked=checked, test=test)
+        return split.first(count, *share)
+
+    def _tests(self, source: str, tested: int, **making: Any) -> GarmentSet:
+        """The garments that test: generated ones, perhaps of another task, or those of a folder or repository."""
+        if source in ("", GENERATED, *TASKS):
+            other = TASKS.get(source, self)
+            if (other.asked, other.points) != (self.asked, self.points):
+                raise ConfigError(f"--test-source {source}: {self.name} has other inputs or answers: give a folder")
+            return generated(tested or other.tested, SEED, **other._making(**making))
+        return self._read(source, making["data"], making["workers"], "test", tested or self.tested)
+
+    def _read(
+        self, source: str, data: Path | None, workers: int, split: str = "", most: int | None = None
+    ) -> GarmentSet:
+        """The garments of a folder or repository, at most ``most``; ``split``: of the official split, if it has one."""
+        split = split if is_published(Path(source)) else ""
+        if split and self.name in OF_BODIES:
+            raise ConfigError(f"{source}: no shape weights of the wearers, which {self.name} needs: give others")
+        make: dict[str, Any] = {"points": self.points, "extra": self.extra, "workers": workers, "cache": data}
+        return read_folder(source, stage=self.stage, split=split, most=most, **make)
 
     def validation(self, most: int, *, data: Path | None = None, workers: int = 0, **changes: Any) -> GarmentSet:
         """The garments on which weights, options and records are chosen, at most ``most`` of each part.
 
         Other arguments as in ``load``; a ``design`` among ``changes`` replaces the kinds of garments.
         """
-        make = self._making(data, workers, changes)
+        make = self._making(data, workers, **changes)
         parts = VALIDATION[:1] if "design" in changes else VALIDATION
         return GarmentSet.join(
             [
@@ -117,27 +156,10 @@ class ReconstructionTask:
             ]
         )
 
-    def _making(self, data: Path | None, workers: int, changes: Mapping[str, Any]) -> dict[str, Any]:
+    def _making(self, data: Path | None, workers: int, **changes: Any) -> dict[str, Any]:
         """The arguments of ``generated``."""
         options = {**self.options, **changes}
         return {"points": self.points, "extra": self.extra, "cache": data, "workers": workers, **options}
-
-    def read(
-        self,
-        source: str,
-        count: int,
-        *,
-        workers: int = 0,
-        tested: int = 0,
-        checked: int = 0,
-        share: tuple[int, int] = (0, 1),
-    ) -> Split:
-        """The garments of a folder or repository, split by design and body; ``count`` to train on, or their ``share``.
-
-        Raises ``ConfigError`` for garments of another stage.
-        """
-        whole = read_folder(source, points=self.points, extra=self.extra, workers=workers, stage=self.stage)
-        return split_off(whole, tested or self.tested, checked=checked or CHECKED).first(count, *share)
 
 
 TASKS = {
@@ -173,7 +195,10 @@ TASKS = {
             "T6", "pattern, box mesh and body", "positions of the drape", "error_cm", DRAPE,
             points=2048, extra=SURFACES, sizes=(1000, 4000),
         ),
-        ReconstructionTask("T7", "patterns of other sources", "pattern", "garment_perfect", PATTERN),
+        ReconstructionTask(
+            "T7", "pictures of a garment of another size than the wearer's", "size and ease", "error_cm", MISFIT,
+            extra=("pictures", "shown", "fit"), sizes=(1000, 4000),
+        ),
     )
 }  # fmt: skip
 

@@ -1,6 +1,7 @@
 """Networks of other options learn, several processes make what one makes, and slow figures of single cases."""
 
 import json
+import shutil
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from benchmarks.cases import parity
 from benchmarks.cloth_tests import drape_coefficient
 from benchmarks.reconstruction.derived import FIRST_PANEL
-from benchmarks.reconstruction.garments import GarmentSet, generated
+from benchmarks.reconstruction.garments import GarmentSet, generated, read_folder
 from benchmarks.reconstruction.models import panel_set
 from benchmarks.reconstruction.options import Config
 from benchmarks.reconstruction.tasks import NAMED
@@ -65,6 +66,20 @@ def test_a_step_reads_no_value_of_the_device(model: str, skirts: GarmentSet, mon
     monkeypatch.setattr(panel_set, "least_cost", lambda cost, asked: torch.zeros(asked.shape, dtype=torch.int64))
     with FakeTensorMode(allow_non_fake_inputs=True):
         assert all(part.shape == () for part in learner.loss(batch).values())
+
+
+def test_published_garments_are_scanned_and_shown(examples: Path, tmp_path: Path) -> None:
+    """On the bodies of the release; a skirt of two panels, draped from 52.6 to 108.6 cm."""
+    folder, published = tmp_path / "published", examples / "published"
+    shutil.copytree(
+        published / "GarmentCodeData_v2_unpacked", folder, ignore=shutil.ignore_patterns("random_body", "neutral_body")
+    )
+    shutil.copytree(published / "GarmentCodeData_v2" / "neutral_body", folder / "neutral_body")
+    found = read_folder(str(folder), points=8192, extra=("pose", "scan", "pictures", "shown"), split="test")
+    height = found.points[0, :, 1].astype(float) + 100
+    assert (height.min(), height.max()) == pytest.approx((52.6, 108.6), abs=3)
+    shown = found.ragged["shown"][0]
+    assert set(((shown[shown >= FIRST_PANEL] - FIRST_PANEL) // len(PANEL_LABELS)).tolist()) == {0, 1}
 
 
 def test_garments_are_seen_in_drawn_pictures() -> None:

@@ -18,11 +18,11 @@ __all__ = ["MODELS", "load_model"]
 
 NETWORKS = (
     "panel_set", "edge_tokens", "parameters", "picture_parameters", "stitches", "segmentation",
-    "drape_surrogate", "measures",
+    "drape_surrogate", "measures", "fit",
 )  # fmt: skip
 BASELINES = (
     "nearest", "typical", "ceiling", "nearest_labels", "box_mesh", "coarse_drape", "solver", "mean_measures",
-    "nearest_measures",
+    "nearest_measures", "nearest_fit",
 )  # fmt: skip
 MODELS = (*NETWORKS, *BASELINES)
 

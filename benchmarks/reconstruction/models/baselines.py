@@ -13,9 +13,11 @@ from torch import Tensor
 
 from benchmarks.reconstruction.drapes import DrapedVertices, redraped
 from benchmarks.reconstruction.garments import GarmentSet
+from benchmarks.reconstruction.judging import numbers_of
 from benchmarks.reconstruction.models.measures import scans_of
 from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import ToTargets, patterns_from
+from benchmarks.reconstruction.picture_model import pictures_of
 from benchmarks.reconstruction.vertex_labels import VertexLabels, true_labels
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
@@ -75,8 +77,13 @@ def nearest_labels(
 
 
 def mean_measures(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0) -> list[np.ndarray]:
-    """The mean measures of the known bodies, for each unseen one."""
-    return [known.measures.astype(float).mean(axis=0)] * len(unseen)
+    """The mean measures of the known bodies, or size and ease of the known garments, for each unseen one."""
+    return [_mean(known)] * len(unseen)
+
+
+def _mean(known: GarmentSet) -> np.ndarray:
+    """The mean of the known numbers; 0 for a ring that no garment has."""
+    return np.asarray(np.ma.masked_invalid(numbers_of(known).astype(float)).mean(axis=0).filled(0.0))
 
 
 def nearest_measures(
@@ -86,6 +93,14 @@ def nearest_measures(
     scans = (scans_of(garments, workers=workers) for garments in (unseen, known))
     ours, theirs = (scan[:, :POINTS, :3].to(device) for scan in scans)
     return [known.measures[row].astype(float) for row in nearest_garments(ours, theirs).tolist()]
+
+
+def nearest_fit(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0) -> list[np.ndarray]:
+    """Size and ease of the known garment with the least distance of some pixels; the mean for a ring that it lacks."""
+    pixels = (pictures_of(garments)["pictures"][:, :, 4::8, 4::8] for garments in (unseen, known))
+    ours, theirs = (some.flatten(1).float().to(device) for some in pixels)
+    rows = numbers_of(known)[torch.cdist(ours, theirs).argmin(dim=1).cpu().numpy()].astype(float)
+    return list(np.where(np.isfinite(rows), rows, _mean(known)))
 
 
 def box_mesh(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0) -> list[DrapedVertices]:
@@ -110,8 +125,9 @@ BASELINES: Mapping[str, Baseline] = {
     "typical": Baseline(typical, (*PATTERNS, "T2")),
     "ceiling": Baseline(ceiling, (*PATTERNS, "T2")),
     "nearest_labels": Baseline(nearest_labels, ("T4",)),
-    "mean_measures": Baseline(mean_measures, ("T5",)),
+    "mean_measures": Baseline(mean_measures, ("T5", "T7")),
     "nearest_measures": Baseline(nearest_measures, ("T5",)),
+    "nearest_fit": Baseline(nearest_fit, ("T7",)),
     "box_mesh": Baseline(box_mesh, ("T6",)),
     "coarse_drape": Baseline(coarse_drape, ("T6",)),
     "solver": Baseline(solver, ("T6",)),

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Int, UInt8
 from torch import Tensor
@@ -17,9 +16,8 @@ from benchmarks.reconstruction.derived import MIRRORED_PIXELS
 from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, encoded_by, sizes_from, uploaded
-from benchmarks.reconstruction.picture_model import NUMBERS, PictureTokens, distorted
+from benchmarks.reconstruction.picture_model import DrawnPictures, PicturedExamples, PictureTokens, pictures_of
 from benchmarks.reconstruction.point_net import EncoderConfig
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.records import Pattern
 from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES
 from gcd_dataset.workers import parallel_map
@@ -35,40 +33,18 @@ SMALL: Mapping[str, Any] = {"width": 64, "heads": 4, "layers": 1, "seen": 0, "vi
 
 
 @dataclass(frozen=True)
-class PictureDesigns(DesignTargets):
+class PictureDesigns(DesignTargets, PicturedExamples):
     """Pictures of garments with the parameters and measures that they were drawn from."""
-
-    pictures: UInt8[Tensor, "b n h w 3"]
-    """sRGB"""
-    shown: UInt8[Tensor, "b n h w"]
-    """``pixel_labels`` of the pictures."""
 
 
 @dataclass(frozen=True)
-class DrawnPictures:
-    """Examples with a new choice, order and distortion of their pictures in each step.
-
-    With ``augmented``, training batches also mirror all pictures of a random half of the garments, where the mirror
-    image is a garment of the same programs.
-    """
-
-    whole: PictureDesigns
-    views: int
-    augmented: bool
-
-    def __len__(self) -> int:
-        return len(self.whole)
+class MirroredPictures(DrawnPictures[PictureDesigns]):
+    """Training batches also mirror all pictures of a random half of the garments, where the mirror image is a garment
+    of the same programs."""
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> PictureDesigns:
-        found = self.whole.batch(rows)
-        if chance is None:
-            return replace(found, pictures=found.pictures[:, : self.views], shown=found.shown[:, : self.views])
-        chosen = torch.randperm(found.pictures.shape[1], generator=chance)[: self.views]
-        numbers = 2 * torch.rand(len(self), len(chosen), NUMBERS, generator=chance)[rows] - 1
-        chosen = uploaded(chosen, found.device)
-        pictures, shown = distorted(found.pictures[:, chosen], found.shown[:, chosen], numbers)
-        found = replace(found, pictures=pictures, shown=shown)
-        return self._mirrored(found, torch.rand(len(self), generator=chance)[rows] < 0.5) if self.augmented else found
+        found = super().batch(rows, chance)
+        return found if chance is None else self._mirrored(found, torch.rand(len(self), generator=chance)[rows] < 0.5)
 
     def _mirrored(self, found: PictureDesigns, drawn_rows: Bool[Tensor, " b"]) -> PictureDesigns:
         chosen = uploaded(drawn_rows, found.device) & self._augmentation.can_mirror(found)
@@ -93,24 +69,21 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
 
     def __init__(self, config: EncoderConfig, *, views: int = PICTURES, augmented: int = 0) -> None:
         """``views``: pictures that are seen; ``config.seen``: cells of them that a training step sees. ``augmented``: 1
-        for mirror images in a training.
-
-        Raises ``ConfigError`` for a number of pictures that garments do not have.
+        for mirror images in a training. Raises ``ConfigError`` as ``PictureTokens``.
         """
         super().__init__()
-        if not 1 <= views <= PICTURES:
-            raise ConfigError(f"views {views}: give 1 to {PICTURES}")
         self.views, self.augmented = views, bool(augmented)
         self.tokens = PictureTokens(config, views=views, size=PICTURE_SIZE, seen=config.seen)
         self.decoder = DesignDecoder(config.width, heads=config.heads, layers=(config.layers + 1) // 2)
 
-    def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPictures:
+    def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPictures[PictureDesigns]:
         """Pictures and targets. The first set prepared, the training set, gives the range of the measures."""
         self.decoder.learn_range(garments)
         return self.drawn_from(encoded_by(encoded, garments, workers).to(device))
 
-    def drawn_from(self, encoded: TensorExamples) -> DrawnPictures:
-        return DrawnPictures(cast(PictureDesigns, encoded), self.views, self.augmented)
+    def drawn_from(self, encoded: TensorExamples) -> DrawnPictures[PictureDesigns]:
+        kind = MirroredPictures if self.augmented else DrawnPictures
+        return kind(cast(PictureDesigns, encoded), self.views)
 
     def encoder(self) -> Callable[[GarmentSet], PictureDesigns]:
         return encoded
@@ -140,11 +113,7 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
 
 def encoded(garments: GarmentSet) -> PictureDesigns:
     """Pictures and targets of garments with the fields ``design``, ``pictures`` and ``shown``, on a CPU."""
-    pictures, shown = (
-        torch.from_numpy(np.stack([garments.ragged[name][k] for k in range(len(garments))]))
-        for name in ("pictures", "shown")
-    )
-    return PictureDesigns(**vars(DesignTargets.of(garments)), pictures=pictures, shown=shown)
+    return PictureDesigns(**vars(DesignTargets.of(garments)), **pictures_of(garments))
 
 
 def build(config: Mapping[str, Any]) -> PictureParameters:
@@ -152,15 +121,8 @@ def build(config: Mapping[str, Any]) -> PictureParameters:
 
     Raises ``ConfigError`` for others.
     """
-    own_names = ("views", "augmented")
-    points, least, heads = ("tokens", "region_width"), {"seen": 0}, {"width": "heads"}
     sizes, own = sizes_from(
-        "picture_parameters",
-        EncoderConfig,
-        {**LARGE, **config},
-        own=own_names,
-        without=points,
-        least=least,
-        heads=heads,
-    )
+        "picture_parameters", EncoderConfig, {**LARGE, **config}, own=("views", "augmented"),
+        without=("tokens", "region_width"), least={"seen": 0}, heads={"width": "heads"},
+    )  # fmt: skip
     return PictureParameters(sizes, **own)

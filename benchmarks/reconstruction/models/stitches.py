@@ -208,8 +208,8 @@ class StitchLearner(Learner[StitchBatch, Pattern]):
         return sew(self.net, batch.patterns)
 
     def tables(self, split: Split, config: Config, out: Path, *, workers: int) -> dict[str, Any]:
-        """The scores of seams: one to one, n to m, by kind, of other patterns (``stitching.evaluation``)."""
-        found = tables(self.net, split, out, workers=workers, examples=config.examples)
+        """The scores of seams: one to one, n to m, by kind (``stitching.evaluation``)."""
+        found = tables(self.net, split, out, workers=workers)
         return {"arguments": {**asdict(config), **asdict(self.net.config)}, **found}
 
 

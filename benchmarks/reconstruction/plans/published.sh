@@ -54,17 +54,22 @@ $TRAIN --model picture_parameters --task T2 --set augmented=1 --train 8000 --fre
 $TRAIN --model picture_parameters --task T2 --set views=1 augmented=1 --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/T2-one_view
 $TRAIN --model typical --task T2 --train 4000 --drape --out runs/T2-reference
 
-$TRAIN --model stitches --task T3 --train 24000 --minutes 5.5 --workers 16 --examples runs/freesewing --out runs/T3
-$TRAIN --model stitches --task T3 --set foreign=0.1 --train 1000 --minutes 2.5 --checks 2 --compile --examples runs/freesewing --out runs/T3-1000
-$TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 2.5 --checks 2 --compile --examples runs/freesewing --out runs/T3-24000
-$TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 8 --checks 2 --compile --examples runs/freesewing --out runs/T3-long
-$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --steps 1500 --compile --examples runs/freesewing --out runs/families-T3-all
-$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --minutes 2.5 --checks 2 --compile --examples runs/freesewing --out runs/T3-4000
-$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out dress --steps 1500 --compile --examples runs/freesewing --out runs/families-T3-dress
-$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out jumpsuit --steps 1500 --compile --examples runs/freesewing --out runs/families-T3-jumpsuit
-$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out pants --steps 1500 --compile --examples runs/freesewing --out runs/families-T3-pants
-$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out skirt --steps 1500 --compile --examples runs/freesewing --out runs/families-T3-skirt
-$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out upper_garment --steps 1500 --compile --examples runs/freesewing --out runs/families-T3-upper_garment
+$TRAIN --model stitches --task T3 --train 24000 --minutes 5.5 --workers 16 --out runs/T3
+$TRAIN --model stitches --task T3 --train 24000 --minutes 5.5 --workers 16 --test-source runs/freesewing --out runs/T3
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 1000 --minutes 2.5 --checks 2 --compile --out runs/T3-1000
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 1000 --minutes 2.5 --checks 2 --compile --test-source runs/freesewing --out runs/T3-1000
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 2.5 --checks 2 --compile --out runs/T3-24000
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 2.5 --checks 2 --compile --test-source runs/freesewing --out runs/T3-24000
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 8 --checks 2 --compile --out runs/T3-long
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 8 --checks 2 --compile --test-source runs/freesewing --out runs/T3-long
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --steps 1500 --compile --out runs/families-T3-all
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --minutes 2.5 --checks 2 --compile --out runs/T3-4000
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --minutes 2.5 --checks 2 --compile --test-source runs/freesewing --out runs/T3-4000
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out dress --steps 1500 --compile --out runs/families-T3-dress
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out jumpsuit --steps 1500 --compile --out runs/families-T3-jumpsuit
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out pants --steps 1500 --compile --out runs/families-T3-pants
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out skirt --steps 1500 --compile --out runs/families-T3-skirt
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --leave-out upper_garment --steps 1500 --compile --out runs/families-T3-upper_garment
 
 $TRAIN --model nearest_labels --task T4 --train 4000 --out runs/T4-reference
 $TRAIN --model segmentation --task T4 --train 4000 --minutes 2 --out runs/T4
@@ -97,3 +102,8 @@ $TRAIN --model drape_surrogate --task T6 --train 4000 --leave-out pants --steps 
 $TRAIN --model drape_surrogate --task T6 --train 4000 --leave-out skirt --steps 500 --checks 1 --out runs/families-T6-skirt
 $TRAIN --model drape_surrogate --task T6 --train 4000 --leave-out upper_garment --steps 500 --checks 1 --out runs/families-T6-upper_garment
 $TRAIN --model solver --task T6 --train 4000 --out runs/T6-reference-solver
+
+$TRAIN --model mean_measures --task T7 --train 4000 --out runs/T7-reference-mean_measures
+$TRAIN --model nearest_fit --task T7 --train 4000 --out runs/T7-reference-nearest_fit
+$TRAIN --model fit --task T7 --train 4000 --minutes 2 --compile --out runs/T7
+$TRAIN --model fit --task T7 --train 16000 --minutes 8 --compile --validate 500 --out runs/T7-long

@@ -22,3 +22,9 @@ $TRAIN --model drape_surrogate --task T6 --out runs/smoke/T6-drape_surrogate
 $TRAIN --model box_mesh --task T6 --out runs/smoke/T6-box_mesh
 $TRAIN --model coarse_drape --task T6 --out runs/smoke/T6-coarse_drape
 $TRAIN --model solver --task T6 --out runs/smoke/T6-solver
+$TRAIN --model fit --task T7 --out runs/smoke/T7-fit
+$TRAIN --model mean_measures --task T7 --out runs/smoke/T7-mean_measures
+$TRAIN --model nearest_fit --task T7 --out runs/smoke/T7-nearest_fit
+$TRAIN --model panel_set --task T1 --test-source T1-scan --out runs/smoke/T1-panel_set
+mkdir -p runs/freesewing && tar -xJf benchmarks/data/freesewing.tar.xz -C runs/freesewing
+$TRAIN --model stitches --task T3 --test-source runs/freesewing --out runs/smoke/T3-stitches

@@ -1,4 +1,4 @@
-"""The tables of task T3: seams one to one, n to m, and of patterns of another origin (T7).
+"""The tables of task T3: seams one to one, and n to m.
 
 One to one: edges subdivided as drawn. N to m: edges joined wherever possible, scored on the seams of the parts.
 """
@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.reconstruction.garments import Split
-from benchmarks.reconstruction.judging import means_of
+from benchmarks.reconstruction.judging import intervals, means_of
 from benchmarks.reconstruction.stitching.graphs import edge_refs, graph_of
 from benchmarks.reconstruction.stitching.merging import Merged, merged
 from benchmarks.reconstruction.stitching.scores import StitchScore, score_intervals, score_stitches
 from benchmarks.reconstruction.stitching.sewing import sew
-from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.files import make_folder
+from gcd_dataset.metrics import PatternScore
 from gcd_dataset.records import Pattern
 from gcd_dataset.scoring.garments import scores_of
-from gcd_dataset.spec import read_pattern, write_pattern
+from gcd_dataset.spec import write_pattern
 from gcd_dataset.workers import parallel_map
 
 if TYPE_CHECKING:
@@ -28,20 +28,17 @@ if TYPE_CHECKING:
 CUT_LOGITS = (0.0, -0.7, -1.4, -2.1, -2.8)  # log-odds of points of subdivision that are tried
 
 
-def tables(net: "StitchNet", split: Split, out: Path, *, workers: int, examples: str) -> dict[str, Any]:
-    """The tables of seams one to one and n to m, and of ``examples``, if given.
+def tables(net: "StitchNet", split: Split, out: Path, *, workers: int) -> dict[str, Any]:
+    """The tables of seams one to one and n to m, and the scores of the scoreboard.
 
     The check garments choose how edges are subdivided for seams n to m. Writes the answers to joined edges into the
-    folder ``predictions`` of ``out``, those to edges as drawn into ``subdivided``. Raises ``ConfigError`` for
-    unreadable examples.
+    folder ``predictions`` of ``out``, those to edges as drawn into ``subdivided``.
     """
     tests, checks = ([some.pattern(k) for k in range(len(some))] for some in (split.test, split.check))
     found = evaluate(net, tests, out, workers, calibrated(net, checks), kinds=split.test.kinds)
-    found |= {"foreign": foreign(net, Path(examples))} if examples else {}
-    parts = {"joined": "several", "subdivided": "one_to_one", "freesewing": "foreign"}
     scores = {
         f"{part}_{score}": found[table][f"{score}_symmetric"]
-        for part, table in parts.items()
+        for part, table in (("joined", "several"), ("subdivided", "one_to_one"))
         for score in ("perfect", "f1")
         if found.get(table)
     }
@@ -101,24 +98,6 @@ def evaluate(
     }
 
 
-def foreign(net: "StitchNet", folder: Path) -> dict[str, Any]:
-    """Scores of the specifications in a folder, subdivided as drawn, and of each by name."""
-    patterns, graphs, unreadable = [], [], {}
-    for path in sorted(folder.rglob("*_specification.json")):
-        try:
-            pattern = read_pattern(path)
-            graphs.append(graph_of(pattern))
-            patterns.append(pattern)
-        except PatternError as error:
-            unreadable[str(path.relative_to(folder))] = str(error)
-    if not patterns:
-        raise ConfigError(f"{folder}: no readable *_specification.json: give a folder of patterns")
-    found = sew(net, patterns)
-    scores = [_score(true, own) for true, own in zip(patterns, found, strict=True)]
-    each = [{"name": pattern.name, **asdict(score)} for pattern, score in zip(patterns, scores, strict=True)]
-    return {**_table(scores), "unreadable": unreadable, "each": each}
-
-
 def _scored(pair: tuple[Pattern, Pattern]) -> StitchScore:
     return _score(*pair)
 
@@ -141,6 +120,6 @@ def _by_kind(kinds: Sequence[str], scores: Sequence[StitchScore | None]) -> dict
     return found
 
 
-def _table(scores: Sequence[StitchScore]) -> dict[str, Any]:
+def _table(scores: Sequence[StitchScore] | Sequence[PatternScore]) -> dict[str, Any]:
     """Means with 95 % bootstrap intervals; empty for no garments."""
     return {"garments": len(scores), **intervals(scores)} if scores else {}

@@ -161,7 +161,7 @@ def test_garments_of_another_stage_are_refused(stage: str, tasks: str, tmp_path:
     for name in tasks.split():
         needed = "mesh" if name == "T0" else "drape"
         with pytest.raises(ConfigError, match=f"garments of stage {stage}: give garments made with --stage {needed}$"):
-            task_named(name).read(folder, 1)
+            task_named(name).load(1, source=folder)
     assert len(read_folder(folder, points=0)) == 2  # a task without points, T3, reads garments of any stage
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.reconstruction import picture_model
 from benchmarks.reconstruction.derived import FIRST_PANEL
 from benchmarks.reconstruction.design_codes import PARAMETERS, encode_design
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
-from benchmarks.reconstruction.models import picture_parameters
 from benchmarks.reconstruction.picture_model import MOST_GROWTH, MOST_SHIFT, MOST_TURN, STRIDE, PictureTokens, distorted
 from benchmarks.reconstruction.point_net import EncoderConfig
 from gcd_dataset.records import BodyPart
@@ -42,7 +42,7 @@ def shades(pictures: torch.Tensor) -> list[int]:
 
 
 def test_each_step_draws_other_pictures(painted: GarmentSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture_parameters, "distorted", lambda pictures, shown, numbers: (pictures, shown))
+    monkeypatch.setattr(picture_model, "distorted", lambda pictures, shown, numbers: (pictures, shown))
     examples = learner(views=3).prepare(painted, device=CPU)
     assert shades(examples.batch(torch.tensor([2])).pictures) == [20, 80, 140]
     drawn = [examples.batch(torch.tensor([2]), torch.Generator().manual_seed(k)).pictures for k in (1, 1, 2, 3, 4)]
@@ -53,7 +53,7 @@ def test_each_step_draws_other_pictures(painted: GarmentSet, monkeypatch: pytest
 
 def test_mirrored_garments_have_mirrored_pictures(painted: GarmentSet, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every second one, with the labels of the other side and the parameters of the mirror image."""
-    monkeypatch.setattr(picture_parameters, "distorted", lambda pictures, shown, numbers: (pictures, shown))
+    monkeypatch.setattr(picture_model, "distorted", lambda pictures, shown, numbers: (pictures, shown))
     picture = np.zeros((PICTURES, PICTURE_SIZE, PICTURE_SIZE, 3), np.uint8)
     picture[:, :, :10] = 200
     shown = np.where(picture[..., 0] > 0, np.uint8(BodyPart.LEFT_ARM.value), np.uint8(FIRST_PANEL))
