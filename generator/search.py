@@ -84,6 +84,7 @@ def search(
     proposals: Iterable[GarmentDesign],
     wearer: Wearer,
     *,
+    ranked: bool = True,
     rounds: Sequence[tuple[int, float]] = ROUNDS,
     pairs: int = PAIRS,
     resolution: float = 2.0,
@@ -92,18 +93,20 @@ def search(
 ) -> Found:
     """The design whose drape is nearest to the scan: of the proposals, and of those that the rounds find near these.
 
-    ``rounds``: see ``ROUNDS``. ``pairs``: of drapes for each design of a round. ``resolution``: edges of the meshes
-    [cm]. ``workers``: processes beside the device, or their pool. Raises ``DrapeError`` if no proposal can be draped.
+    ``ranked``: the first proposal is the likeliest. ``rounds``: see ``ROUNDS``. ``pairs``: of drapes for each design of
+    a round. ``resolution``: edges of the meshes [cm]. ``workers``: processes beside the device, or their pool. Raises
+    ``DrapeError`` if no proposal can be draped.
     """
     designs = list(proposals)
+    likeliest = choices_of(designs[0]) if designs and ranked else ""
     with nullcontext(workers) if isinstance(workers, Pool) or workers < 2 else process_pool(workers) as pool:
         work = _Search(scan, wearer, pairs, resolution, device, pool)
-        best = _of_each_choice(work.draped(designs), choices_of(designs[0]) if designs else "")
+        best = _of_each_choice(work.draped(designs), likeliest)
         if not best:
             raise DrapeError("none of the proposed designs can be drawn, meshed and draped on this body")
         for number, (count, step) in enumerate(rounds):
             refined = [near for each in best[:count] for near in work.refined(each, step, number)]
-            best = _of_each_choice(refined, choices_of(designs[0]))
+            best = _of_each_choice(refined, likeliest)
     return best[0]
 
 

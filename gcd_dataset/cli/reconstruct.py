@@ -4,18 +4,19 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gcd_dataset.cli.common import add_body, add_quiet, add_verb, natural_number, wearer_of
-from gcd_dataset.errors import ConfigError, DrapeError, SpecError
+from gcd_dataset.errors import BodyError, ConfigError, DrapeError, GcdError
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.garments import GarmentDesign
-    from gcd_dataset.records import Body, BodyShape, Measurements
+    from gcd_dataset.generator.search import Wearer
+    from gcd_dataset.records import BodyShape
 
 POINTS = 8192  # of a scan
 DRAWN = 256  # random designs, where none are proposed
@@ -43,7 +44,12 @@ def add_verbs(verbs: Any) -> None:
     )
     verb.add_argument("--partial", action="store_true", help="a scan shows a part of its garment, such as one side")
     verb.add_argument(
-        "--rounds", type=natural_number, default=7, metavar="N", help="of refinement, at most 7; 0: none (default: 7)"
+        "--rounds",
+        type=natural_number,
+        choices=range(8),
+        default=7,
+        metavar="N",
+        help="of refinement, 0 to 7 (default: 7)",
     )
     add_body(verb, default=None)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for patterns, drapes, report")
@@ -64,23 +70,40 @@ def _reconstruct(options: argparse.Namespace) -> int:
     from gcd_dataset.workers import process_pool
 
     resolve_device(options.device), check_resolution(options.resolution)
+    _require_own_names(options.scan, options.out)
+    wearer = wearer_of(argparse.Namespace(**{**vars(options), "body": options.body or "neutral"}))
+    wearer(False)  # an error of --body is no error of a scan
     rows, folder = [], make_folder(options.out)
     with process_pool(options.workers) if options.workers > 1 else nullcontext(1) as pool:
         for scan in tqdm(options.scan, unit="scan", disable=options.quiet):
             try:
-                row = _found(scan, options, pool)
+                row = _found(scan, options, wearer, pool)
                 apart = f"{row['mean_cm']:.2f} cm on average, 95 % within {row['p95_cm']:.2f} cm"
                 print(f"{scan.stem}: {apart}, {row['seconds']:.1f} s")
-            except (DrapeError, SpecError, ConfigError) as error:
-                row = {"error": str(error)}
-                print(f"gcd reconstruct: {error}", file=sys.stderr)
+            except GcdError as error:
+                told = str(error) if str(error).startswith(str(scan)) else f"{scan}: {error}"
+                row = {"error": told}
+                print(f"gcd reconstruct: {told}", file=sys.stderr)
             rows.append({"scan": str(scan), **row})
             write_whole(folder / "report.json", (json.dumps({"scans": rows}, indent=1) + "\n").encode())
     print(f"{folder}: patterns, designs, drapes and report.json")
     return int(any("error" in row for row in rows))
 
 
-def _found(scan: Path, options: argparse.Namespace, pool: Any) -> dict[str, Any]:
+def _require_own_names(scans: Sequence[Path], out: Path) -> None:
+    """Raise ``ConfigError`` if the files of a scan would replace it, or those of another scan."""
+    from gcd_dataset.generator.fitting import garment_name
+
+    named: dict[str, Path] = {}
+    for scan in scans:
+        other = named.setdefault(garment_name(scan).casefold(), scan)
+        if other is not scan:
+            raise ConfigError(f"{scan}: named as {other}, whose files it would replace: rename one of them")
+        if scan.parent.resolve() == out.resolve():
+            raise ConfigError(f"{scan}: lies in --out {out}, where files have its name: give another folder")
+
+
+def _found(scan: Path, options: argparse.Namespace, wearer: "Wearer", pool: Any) -> dict[str, Any]:
     """Search a scan's design and write it; the row of the report. Raises ``GcdError``."""
     from gcd_dataset.generator.fitting import (
         Refusal,
@@ -95,15 +118,15 @@ def _found(scan: Path, options: argparse.Namespace, pool: Any) -> dict[str, Any]
     from gcd_dataset.scoring.distances import Cloud, MeshShape, mean_and_p95, read_points
 
     begun, points = time.perf_counter(), read_points(scan, POINTS)
-    designs, wearer, shape = _proposed(scan, options)
+    designs, wearer, shape = _proposed(scan, options, wearer)
     found = search(
-        ScanPoints.of(points, partial=options.partial), designs, wearer, rounds=ROUNDS[: options.rounds],
-        resolution=options.resolution, device=options.device, workers=pool,
+        ScanPoints.of(points, partial=options.partial), designs, wearer, ranked=options.proposals is not None,
+        rounds=ROUNDS[: options.rounds], resolution=options.resolution, device=options.device, workers=pool,
     )  # fmt: skip
     seconds, design, name = time.perf_counter() - begun, found.drape.design, garment_name(scan)
     spec, rejects = write_drawn(design, wearer(False)[1], options.out, source=scan)
     write_design(design, options.out / f"{name}_design_params.yaml")
-    if shape is not None:
+    if shape is not None:  # else the wearer is a mesh
         _write_body(shape, options.out / name)
     [fitting] = drape_patterns(read_patterns([spec]), wearer, resolution=options.resolution, device=options.device)
     if isinstance(fitting, Refusal):
@@ -118,11 +141,15 @@ def _found(scan: Path, options: argparse.Namespace, pool: Any) -> dict[str, Any]
 
 
 def _proposed(
-    scan: Path, options: argparse.Namespace
-) -> "tuple[Iterator[GarmentDesign], Callable[[bool], tuple[Body, Measurements]], BodyShape | None]":
-    """Designs to begin with, the wearer, and its shape if it was found from measures. Raises ``GcdError``."""
+    scan: Path, options: argparse.Namespace, wearer: "Wearer"
+) -> "tuple[Iterator[GarmentDesign], Wearer, BodyShape | None]":
+    """Designs to begin with, the wearer, and its shape, ``None`` for a mesh. Raises ``GcdError``.
+
+    ``wearer``: if no measures are proposed, or a body or its measures are given.
+    """
     from gcd_dataset.bodyfiles import read_measurements
     from gcd_dataset.generator.body import build_body, fit_shape, measure
+    from gcd_dataset.generator.body.by_name import shape_by_name
     from gcd_dataset.generator.garments import read_design
     from gcd_dataset.generator.garments.sampling import attempted_design
 
@@ -130,10 +157,13 @@ def _proposed(
     files = sorted(folder.glob(DESIGNS)) if folder else []
     if folder and not files:
         raise ConfigError(f"{folder}: no {DESIGNS}: propose designs for {scan}, or leave --proposals out")
-    measures = sorted(folder.glob(MEASURES)) if folder else []
-    shape = fit_shape(read_measurements(measures[0])).shape if measures and options.body is None else None
-    wearer = wearer_of(argparse.Namespace(**{**vars(options), "body": options.body or "neutral"}))
-    if shape is not None:
+    measures = sorted(folder.glob(MEASURES)) if folder and not (options.body or options.measurements) else []
+    shape = shape_by_name(options.body or "neutral", legs_apart=False)
+    if measures:
+        try:
+            shape = fit_shape(read_measurements(measures[0])).shape
+        except BodyError as error:
+            raise BodyError(f"{measures[0]}: {error}") from error
         bodies = [build_body(replace(shape, legs_apart=apart)) for apart in (False, True)]
         fitted = measure(bodies[False])
         wearer = lambda legs_apart: (bodies[legs_apart], fitted)  # noqa: E731

@@ -34,6 +34,7 @@ from gcd_dataset.spec import pattern_from_spec
 from gcd_dataset.tensors import NO_LINES, PatternTensor, decode_pattern, sewn_rows
 
 DESIGN_FILES, ARRAYS = (".yaml", ".yml"), ".npz"
+REPORT = "report.json"  # of ``gcd reconstruct``
 TENSORS = ("panels", "edges", "stitches")
 UNREADABLE = (
     OSError, ValueError, TypeError, EOFError, KeyError, MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error
@@ -115,7 +116,7 @@ def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         raise SpecError(f"{path}: no such folder: give a folder of answers")
     for found in (path.glob("*"), path.rglob("*")):
-        files = sorted(found)
+        files = sorted(file for file in found if not file.name.endswith(".meta.json") and file.name != REPORT)
         for kind in ((".json",), DESIGN_FILES, (ARRAYS,)):
             if chosen := [file for file in files if file.suffix.lower() in kind]:
                 predicted = {file.parent for file in chosen if "pred" in file.stem}

@@ -94,7 +94,7 @@ def wearers_of(bodies: str) -> Wearers:
 
 
 def _body_file(folder: Path, stem: str) -> Path | None:
-    paths = (folder / f"{stem}{ending}" for ending in (*MESHES, *SHAPES))
+    paths = (folder / f"{stem}{ending}" for ending in (*SHAPES, *MESHES))  # NAME.obj beside an answer may be its drape
     return next((path for path in paths if path.is_file()), None)
 
 

@@ -131,33 +131,41 @@ def input_files(folder: Path) -> dict[str, Path]:
     return {path.stem: path for path in reversed(paths)}
 
 
-def read_shape(path: Path) -> Shape:
+def read_shape(path: Path) -> Shape | None:
     """A mesh, or points: a PLY or OBJ without faces, or an array (n, 3) or (n, 6) in a ``.npy`` file [cm].
 
-    Raises ``SpecError`` with the file and a remedy.
+    ``None`` for fewer than ``NEIGHBOURS`` finite points, as of a drape that diverged. Raises ``SpecError`` with the
+    file and a remedy.
     """
     points, faces = _read(path)
+    if not len(points):
+        return None
     return MeshShape.of(points[:, :3], faces) if len(faces) else Cloud.of(points[:, :3])
 
 
 def read_points(path: Path, count: int) -> Float[np.ndarray, "n 6"]:
     """Points [cm] and unit normals of a file that ``read_shape`` reads: ``count`` of a mesh, at most as many of points.
 
-    Points without normals get those of the planes through their neighbours, away from the vertical through their mean.
+    Points without normals, or with some of length 0, get those of the planes through their neighbours, away from the
+    vertical through their mean. Raises ``SpecError``.
     """
     points, faces = _read(path)
+    if not len(points):
+        raise SpecError(f"{path}: fewer than {NEIGHBOURS} finite points: export the scan again")
     if len(faces):
         return sample_surface(points[:, :3], faces, count, np.random.default_rng(0))
     points = points[np.random.default_rng(0).permutation(len(points))[:count]]
-    if points.shape[1] == 6:
-        return points
+    points, given = points[:, :3], points[:, 3:]
+    lengths = np.linalg.norm(given, axis=1, keepdims=True)
+    if given.size and (lengths > 0).all():
+        return np.concatenate([points, given / lengths], axis=1)
     normals, outward = Cloud.of(points).normals, (points - points.mean(axis=0)) * [1.0, 0.0, 1.0]
     sides = np.where(np.einsum("ni,ni->n", normals, outward) < 0, -1.0, 1.0)
     return np.concatenate([points, sides[:, None] * normals], axis=1)
 
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Points, perhaps with normals, and faces, none for a cloud of points. Raises ``SpecError``."""
+    """Points, perhaps with normals, none if too few are finite; faces, none for a cloud. Raises ``SpecError``."""
     try:
         open_regular(path).close()
         points, faces = _array(path) if path.suffix.lower() == ".npy" else _mesh(path)
@@ -165,9 +173,9 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
         line = " ".join(str(error).split())[:120]
         raise SpecError(f"{path}: cannot be read ({line}): give a mesh, or points (n, 3), in centimetres") from error
     if not len(faces):
-        points = points[np.isfinite(points).all(axis=1)]  # points that a scan did not measure are NaN
-    if len(points) < NEIGHBOURS or not np.isfinite(points).all():
-        raise SpecError(f"{path}: {len(points)} points, or points that are not finite: export the input again")
+        points = points[np.isfinite(points[:, :3]).all(axis=1)]  # points that a scan did not measure are NaN
+    if len(points) < NEIGHBOURS or not np.isfinite(points[:, :3]).all():
+        return points[:0], faces[:0]
     if (extent := float(np.ptp(points[:, :3], axis=0).max())) < SMALLEST:
         raise SpecError(f"{path}: its largest extent is {extent:.3g}: inputs are in centimetres, so scale it by 100")
     return points, faces
@@ -185,7 +193,9 @@ def _mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
     scene = trimesh.load(path, process=False, force="scene")
     parts = [part for part in scene.dump() if len(getattr(part, "vertices", ()))]
-    points = np.concatenate([np.zeros((0, 3)), *(np.asarray(part.vertices, float) for part in parts)])
+    if not parts:
+        raise ValueError("no points")
+    points = np.concatenate([np.asarray(part.vertices, float) for part in parts])
     first = np.cumsum([0, *(len(part.vertices) for part in parts)])
     of_parts = [
         np.asarray(part.faces, int) + start for part, start in zip(parts, first, strict=False) if hasattr(part, "faces")

@@ -83,7 +83,7 @@ def with_drapes(
     wearers: Wearers,
     *,
     own: Wearers,
-    inputs: Mapping[str, Shape] | None = None,
+    inputs: Mapping[str, Shape | None] | None = None,
     partial: bool = False,
     spacing: float,
     device: str,
@@ -92,10 +92,10 @@ def with_drapes(
     """The garments with the scores ``table.DRAPED``, in order.
 
     ``own``: the bodies that come with the answers, on which they are draped without help. ``inputs``: the surfaces from
-    which garments were predicted; without them, distances are to the drapes of the true patterns. ``partial``: inputs
-    are parts of their garments, so only distances from the input to the drape count. ``spacing``: edge length of the
-    meshes [cm]. ``workers``: processes that dress and mesh. Raises ``BodyError`` for a body that cannot be read,
-    ``ConfigError`` for a missing device.
+    which garments were predicted, where any answer to ``None`` is wrong; without them, distances are to the drapes of
+    the true patterns. ``partial``: inputs are parts of their garments, so only distances from the input to the drape
+    count. ``spacing``: edge length of the meshes [cm]. ``workers``: processes that dress and mesh. Raises ``BodyError``
+    for a body that cannot be read, ``ConfigError`` for a missing device.
     """
     waiting: list[_Job] = []
     draped: dict[tuple[int, int], _Draped] = {}
@@ -185,7 +185,7 @@ def _scored(
     garment: Scored,
     row: int,
     draped: dict[tuple[int, int], _Draped],
-    inputs: Mapping[str, Shape] | None,
+    inputs: Mapping[str, Shape | None] | None,
     partial: bool,
 ) -> Scored:
     true, aided, unaided = (draped.pop((row, way)) for way in (TRUE, AIDED, UNAIDED))
@@ -193,6 +193,7 @@ def _scored(
     remarks = [f"drape of the prediction: {aided.reason}"] if aided.reason and not garment.failure else []
     remarks += [f"drape of the true pattern: {true.reason}"] if true.reason else []
     remarks += [f"drape without help: {unaided.reason}"] if unaided.reason and not aided.reason else []
+    remarks += ["input: too few finite points for a surface"] if inputs is not None and target is None else []
     alike = garment.predicted is not None and panels_alike(garment.predicted, garment.true)
 
     def compared(drape: _Draped) -> tuple[float, float, bool]:

@@ -25,6 +25,7 @@ from gcd_dataset.scoring.distances import (
     input_files,
     openings_apart,
     openings_of,
+    read_points,
     read_shape,
 )
 from gcd_dataset.scoring.draping import arranged, panels_alike, with_drapes
@@ -130,7 +131,7 @@ def test_inputs_are_read_as_meshes_and_points(tmp_path: Path) -> None:
     np.save(tmp_path / "array.npy", np.hstack([ball.vertices, ball.vertex_normals]).astype(np.float16))
     files = input_files(tmp_path)
     assert set(files) == {"mesh", "mesh2", "points", "array"}
-    shapes = {name: read_shape(path) for name, path in files.items()}
+    shapes = {name: shape for name, path in files.items() if (shape := read_shape(path)) is not None}
     assert {name: type(shape) for name, shape in shapes.items()} == {
         "mesh": MeshShape, "mesh2": MeshShape, "points": Cloud, "array": Cloud,
     }  # fmt: skip
@@ -152,6 +153,25 @@ def test_inputs_that_cannot_be_used(tmp_path: Path) -> None:
     ):
         with pytest.raises(SpecError, match=message):
             read_shape(tmp_path / name)
+
+
+def test_points_of_a_drape_that_diverged_are_no_surface(tmp_path: Path) -> None:
+    np.save(tmp_path / "diverged.npy", np.full((100, 6), np.nan, np.float32))
+    np.save(tmp_path / "nothing.npy", np.zeros((0, 6)))
+    for path in tmp_path.iterdir():
+        assert read_shape(path) is None
+        with pytest.raises(SpecError, match="fewer than 12 finite points: export the scan again"):
+            read_points(path, 10)
+
+
+@pytest.mark.parametrize("length", [9.0, 0.0, np.nan])
+def test_normals_of_points_have_length_1(length: float, tmp_path: Path) -> None:
+    """Normals of length 0 are not used."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
+    np.save(tmp_path / "ball.npy", np.hstack([ball.vertices, length * ball.vertex_normals]))
+    points = read_points(tmp_path / "ball.npy", 500)
+    assert points.shape == (500, 6)
+    assert np.abs(np.einsum("ni,ni->n", points[:, :3] / 20, points[:, 3:])) == pytest.approx(1.0, abs=0.05)
 
 
 def test_box_meshes_of_a_garment_moved_by_2_cm(skirt: Pattern) -> None:
@@ -329,3 +349,6 @@ def test_predictions_are_draped_and_compared_with_the_true_drape(skirt: Pattern,
     assert "drape without help" in rows["short"].remarks[-1]
     assert values["broken"] == values["none"] == [0, WORST, WORST, 0]
     assert rows["none"].failure == "no answer"
+    [same] = with_drapes(scored[:1], wearers_of("neutral"), own=own, inputs={"same": None}, spacing=8.0, device="cpu")
+    assert (same.values["redrape_cd_cm"], same.values["strict_within_1cm"]) == (WORST, 0)
+    assert same.remarks == ("input: too few finite points for a surface",)

@@ -62,7 +62,9 @@ def test_the_evaluator_reads_inputs_and_bodies_of_draped_garments(tmp_path: Path
     wearers = wearers_of(str(tmp_path / "bodies"))
     for key, pattern in zip(garments.keys, truth, strict=True):
         assert read_pattern(tmp_path / "truth" / f"{key}.json").extra["properties"]["kind"] == "skirt"
-        points = read_shape(tmp_path / "inputs" / f"{key}.npy").samples
+        shape = read_shape(tmp_path / "inputs" / f"{key}.npy")
+        assert shape is not None
+        points = shape.samples
         places = build_box_mesh(pattern, spacing=8.0).vertices
         assert np.abs(np.ptp(points, axis=0) - np.ptp(places, axis=0)).max() < 5.0
         assert np.abs(points.max(axis=0) - places.max(axis=0)).max() < 5.0
