@@ -43,7 +43,7 @@ def add_verbs(verbs: Any) -> None:
     )
     verb.add_argument("--partial", action="store_true", help="a scan shows a part of its garment, such as one side")
     verb.add_argument(
-        "--rounds", type=natural_number, default=7, metavar="N", help="of refinement, at most 7; 0: none (default: 7)"
+        "--rounds", type=natural_number, default=4, metavar="N", help="of refinement, at most 4; 0: none (default: 4)"
     )
     add_body(verb, default=None)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for patterns, drapes, report")
