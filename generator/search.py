@@ -37,11 +37,11 @@ from gcd_dataset.records import Body, Measurements, Outcome
 from gcd_dataset.workers import Pool, parallel_map, process_pool
 
 SAMPLES = 1024  # points of the scan that are compared
-ROUNDS = ((4, 0.08), (2, 0.05), (1, 0.05), (1, 0.03), (1, 0.02), (1, 0.01), (1, 0.005))
+ROUNDS = ((2, 0.06), (1, 0.04), (1, 0.02), (1, 0.01))
 """Designs that a round refines, the nearest of different choices, and the change of their parameters [of a range]."""
 FINE = 0.01  # of a range: in rounds of such steps, the nearest neighbour may be the answer
 CLEARLY = 0.75  # of the distance of the likeliest choices: that of others that replace them
-PAIRS = 40  # pairs of drapes of a design in a round
+PAIRS = 32  # pairs of drapes of a design in a round
 SHARES = (1.0, 0.5, 0.25)  # of the change that brings the linear map onto the scan: all are draped
 REACH = 2.0  # steps that a parameter may move in a round
 INNER = 12  # Gauss-Newton steps on a linear map

@@ -35,6 +35,8 @@ WEIGHTS = Path(__file__).with_name("weights") / "T1.pt"
 
 def network(path: Path) -> parameters.ParameterNet:
     """The network of a file of weights, described by the JSON beside it. Raises ``ConfigError``."""
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file: give weights, with a JSON of their name")
     at = JsonPath(str(path.with_suffix(".json")))
     card = at.mapping(read_json(path.with_suffix(".json"), "description of weights"), "")
     if hashlib.sha256(path.read_bytes()).hexdigest() != card.get("sha256"):
@@ -48,6 +50,7 @@ def propose(scan: Path, net: parameters.ParameterNet, count: int, folder: Path) 
     """Write ``count`` designs for a scan, and the measures of its wearer."""
     device = net.decoder.queries.device
     placed = read_points(scan, net.config.stored_points) - [*CENTRE, 0.0, 0.0, 0.0]
+    placed = np.resize(placed, (net.config.stored_points, 6))  # those of a sparse scan are repeated
     points = scaled_points(placed[None].astype(np.float32), device)
     found = net.proposals(points, count, torch.Generator().manual_seed(0))
     make_folder(folder)
@@ -65,14 +68,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)
+    failed = 0
     try:
+        if options.count < 1:
+            raise ConfigError(f"--count {options.count}: give 1 or more")
         net = network(options.weights).to(options.device)
-        for scan in options.scan:
-            propose(scan, net, options.count, options.out / scan.stem)
     except GcdError as error:
         print(f"propose: {error}", file=sys.stderr)
         return 1
-    return 0
+    for scan in options.scan:
+        try:
+            propose(scan, net, options.count, options.out / scan.stem)
+        except GcdError as error:
+            print(f"propose: {error}", file=sys.stderr)
+            failed += 1
+    return int(failed > 0)
 
 
 if __name__ == "__main__":

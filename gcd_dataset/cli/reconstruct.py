@@ -46,10 +46,10 @@ def add_verbs(verbs: Any) -> None:
     verb.add_argument(
         "--rounds",
         type=natural_number,
-        choices=range(8),
-        default=7,
+        choices=range(5),
+        default=4,
         metavar="N",
-        help="of refinement, 0 to 7 (default: 7)",
+        help="of refinement, 0 to 4 (default: 4)",
     )
     add_body(verb, default=None)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for patterns, drapes, report")

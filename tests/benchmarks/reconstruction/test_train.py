@@ -264,4 +264,4 @@ def test_the_plans_of_the_repository_have_valid_commands(path: Path) -> None:
     (program,) = (line.removeprefix("TRAIN=").strip('"') for line in lines if line.startswith("TRAIN="))
     calls = [line.replace("$TRAIN", program) for line in lines if line.startswith("$TRAIN")]
     configs = [parsed(shlex.split(call)[3:]) for call in calls]
-    assert len({config.out for config in configs}) == len(configs) > 20
+    assert len({(config.out, config.test_source) for config in configs}) == len(configs) > 20
