@@ -550,22 +550,20 @@ class Split:
         return replace(self, train=self.train.select(range(first, min(count, len(self.train)), step)))
 
 
-def split_off(
-    garments: GarmentSet, designs: int, *, checked: int = 32, seed: int = 0, test: GarmentSet | None = None
-) -> Split:
+def split_off(garments: GarmentSet, designs: int, *, checked: int = 32, seed: int = 0) -> Split:
     """Split a set by design and by body: ``designs`` to test on and ``checked`` to check, drawn by ``seed``.
 
-    ``test``: garments of another source to test on instead. At most half of the designs are tested on. All garments of
-    a design are on one side. Garments of the other sides on bodies that training garments wear are left out. The
-    training set is in random order. Raises ``ConfigError`` if a side is empty.
+    At most half of the designs are tested on. All garments of a design are on one side. Garments of the other sides on
+    bodies that training garments wear are left out. The training set is in random order. Raises ``ConfigError`` if a
+    side is empty.
     """
     every = rng(seed, 0, Stage.SPLIT).permutation(np.unique(garments.designs))
-    tested = 0 if test is not None else min(designs, len(every) // 2)
+    tested = min(designs, len(every) // 2)
     checked = min(checked, (len(every) - tested) // 2)
     known = ~np.isin(garments.designs, every[: tested + checked])
     own = ~np.isin(garments.bodies, garments.bodies[known])
     return Split(
         train=garments.select(rng(seed, 1, Stage.SPLIT).permutation(np.flatnonzero(known))),
         check=garments.select(np.flatnonzero(np.isin(garments.designs, every[tested : tested + checked]) & own)),
-        test=test or garments.select(np.flatnonzero(np.isin(garments.designs, every[:tested]) & own)),
+        test=garments.select(np.flatnonzero(np.isin(garments.designs, every[:tested]) & own)),
     )

@@ -8,7 +8,7 @@ set.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -119,8 +119,8 @@ class ReconstructionTask:
             check = self._read(source, data, workers, "validation", checked)
             split = Split(train, check, tests(test_source or source), apart=("designs",))
         else:
-            test = tests(test_source) if test_source else None
-            split = split_off(self._read(source, data, workers), tested or self.tested, checked=checked, test=test)
+            split = split_off(self._read(source, data, workers), tested or self.tested, checked=checked)
+            split = replace(split, test=tests(test_source)) if test_source else split
         return split.first(count, *share)
 
     def _tests(self, source: str, tested: int, **making: Any) -> GarmentSet:

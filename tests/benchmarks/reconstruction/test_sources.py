@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -103,3 +104,16 @@ def test_scans_test_a_training_on_whole_surfaces(tmp_path: Path) -> None:
     assert np.array_equal(split.test.points, TASKS["T1-scan"].load(1, **options).test.points)
     with pytest.raises(ConfigError, match="--test-source T4: T1 has other inputs or answers: give a folder"):
         TASKS["T1"].load(1, test_source="T4", **options)
+
+
+def test_another_test_source_leaves_the_training_set_as_it_is(tmp_path: Path) -> None:
+    """So that a later test on the training's own source is on garments that it never saw."""
+    for folder, names in (("ours", "abcdefgh"), ("theirs", "xy")):
+        (tmp_path / folder).mkdir()
+        for name in names:
+            write_pattern(t_shirt(), tmp_path / folder / f"{name}_specification.json")
+    load = partial(TASKS["T3"].load, 8, source=str(tmp_path / "ours"), tested=3, checked=1)
+    own, other = load(), load(test_source=str(tmp_path / "theirs"))
+    assert len(own.train) == 4
+    assert own.train.keys == other.train.keys
+    assert (len(own.test), len(other.test)) == (3, 2)
