@@ -291,9 +291,9 @@ def draped(report: dict[str, Any], config: Config, task: ReconstructionTask) -> 
     if all(name in report["scores"] for name in DRAPED):
         return report
     out, tested = config.results, config.test_source if config.test_source in TASKS else task.name
-    inputs = out / "inputs" if tested in ("T1", "T1-scan") else None
+    inputs = out / "inputs" if tested in ("T1", "T1-scan") and task.stage == "drape" else None  # T0 writes none
     device, spacing = "auto" if config.device == "cuda" else config.device, float(task.options["resolution"])
-    drapes = Drapes(inputs, tested == "T1-scan", config.resolution or spacing, device)
+    drapes = Drapes(inputs, inputs is not None and tested == "T1-scan", config.resolution or spacing, device)
     workers, bodies = max(1, workers_of(config)), str(out / "bodies")
     found = score(out / "predictions", out / "truth", bodies=bodies, drapes=drapes, workers=workers).tree()
     write_whole(out / EVALUATION, result_text(found).encode())

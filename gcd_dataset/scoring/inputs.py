@@ -276,16 +276,16 @@ def write_inputs(
 def lay_out_pictures(photographs: Path, out: Path) -> list[str]:
     """Lay out a folder of photographs as inputs of T2; the names of the garments. There is no truth to score with.
 
-    ``NAME_0.jpg``, ``NAME_1.jpg`` … show one garment, ``NAME.jpg`` one alone. The whole picture is kept, in a white
-    square; fewer than ``PICTURES`` are repeated. Raises ``ConfigError`` for a folder without pictures, or one that
-    cannot be read.
+    ``NAME_0.jpg`` to ``NAME_3.jpg`` show one garment, any other picture, such as ``IMG_0412.jpg``, one alone. The whole
+    picture is kept, in a white square; fewer than ``PICTURES`` are repeated. Raises ``ConfigError`` for a folder
+    without pictures, or one that cannot be read.
     """
     from PIL import Image, ImageOps
 
     found = defaultdict[str, list[Path]](list)
     for path in sorted(photographs.glob("*")):
         if path.suffix.lower() in PHOTOGRAPHS:
-            found[re.sub(r"_\d+$", "", path.stem)].append(path)
+            found[re.sub(rf"_[0-{PICTURES - 1}]$", "", path.stem)].append(path)
     if not found:
         raise ConfigError(f"{photographs}: no pictures: give a folder of {', '.join(PHOTOGRAPHS)} files")
     inputs = make_folder(out / "inputs")

@@ -135,14 +135,14 @@ def test_cards_that_cannot_be_used(card: str, fault: str, tmp_path: Path, capsys
 
 
 def test_photographs_are_laid_out_as_pictures_of_t2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Two of one garment, one of another, which is red and upright in a white square."""
+    """Two of one garment, one of each other, which is red and upright in a white square."""
     photographs, out = tmp_path / "photographs", tmp_path / "out"
     photographs.mkdir()
-    for name in ("coat_0.jpg", "coat_1.png", "shirt.jpg"):
+    for name in ("IMG_0412.jpg", "IMG_0413.jpg", "coat_0.jpg", "coat_1.png", "shirt.jpg"):
         Image.new("RGB", (300, 600), "red").save(photographs / name)
     command = ["bench", "inputs", "T2", str(out), "--pictures", str(photographs)]
     assert main(command) == 0
-    names = [f"{name}_{k}.png" for name in ("coat", "shirt") for k in range(4)]
+    names = [f"{name}_{k}.png" for name in ("IMG_0412", "IMG_0413", "coat", "shirt") for k in range(4)]
     assert sorted(path.name for path in (out / "inputs").iterdir()) == names
     with Image.open(out / "inputs" / "shirt_3.png") as image:
         assert image.size == (128, 128)
