@@ -6,6 +6,8 @@ part of its placement and counts in ``rot_deg``.
 
 Means include every garment: an unmatched panel counts as missing, a prediction without any match gets the worst score,
 and ``failed_score`` is the score of a prediction that is missing or cannot be read.
+
+``answers`` has the scores of labels of vertices, of measures and of drapes.
 """
 
 from gcd_dataset.metrics.answers import (

@@ -158,7 +158,7 @@ def _person(item: "Item", stem: Path) -> None:
 
 
 def _measures(item: "Item", name: str) -> Mapping[str, np.ndarray]:
-    return {"measures": item["measures"].numpy()}
+    return {"measures": np.array([item["measures"][measure] for measure in MEASURES])}
 
 
 def _box_mesh(item: "Item", stem: Path) -> None:
@@ -178,7 +178,7 @@ def _positions(item: "Item", name: str) -> Mapping[str, np.ndarray]:
     return {"vertices": item["verts"].numpy(), "legs_apart": np.array(item["meta"]["pose"]["legs_apart"])}
 
 
-def _save_arrays(stem: Path, arrays: Mapping[str, np.ndarray]) -> None:
+def _save_arrays(stem: Path, arrays: Mapping[str, Any]) -> None:
     with stem.with_name(f"{stem.name}.npz").open("wb") as file:
         np.savez_compressed(file, **arrays)
 

@@ -1,6 +1,7 @@
 """Answers that are no patterns: labels of vertices, measures, drapes."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from gcd_dataset.metrics import VertexLabels
 from gcd_dataset.scoring.inputs import MESH, TASKS, TaskFolder, vertex_order
 from gcd_dataset.spec import spec_from_pattern, write_pattern
 from gcd_dataset.tensors import EDGE_LABELS
+from tests.scoring.test_board import CARD
 from tests.test_metrics import garment
 
 TRUE = np.arange(26.0) + 30
@@ -29,12 +31,16 @@ def item() -> dict[str, Any]:
     arrays = {name: getattr(mesh, name) for name in MESH if name != "labels"}
     arrays |= {"verts": mesh.vertices, "box": mesh.vertices, "labels": np.array(labels, int).reshape(-1, 2)}
     arrays |= {"stitches": np.zeros((len(garment().seams), 2), int), "body": np.zeros(len(body_model().components))}
-    arrays |= {"scan": np.zeros((5, 6)), "scan_panel_id": np.array([0, 1, -1, -1, 0]), "measures": TRUE}
+    arrays |= {"scan": np.zeros((5, 6)), "scan_panel_id": np.array([0, 1, -1, -1, 0])}
+    measures = dict(zip(MEASURES, TRUE.tolist(), strict=True))
     meta = {"panel_names": list(mesh.panel_names), "pose": {"arm_angle": 0.0, "legs_apart": False}, "index": 0}
     spec = {**spec_from_pattern(garment()), "properties": {}}
-    return {name: torch.tensor(array) for name, array in arrays.items()} | {
-        "meta": meta, "spec": spec,
-    }  # fmt: skip
+    return {
+        **{name: torch.tensor(array) for name, array in arrays.items()},
+        "meta": meta,
+        "spec": spec,
+        "measures": measures,
+    }
 
 
 @pytest.fixture
@@ -47,7 +53,8 @@ def folder(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
     assert task.truth is not None
     for name in NAMES:
         task.write(made, out / "inputs" / name)
-        np.savez(out / "truth" / f"{name}.npz", **task.truth(made, name))
+        true: Mapping[str, Any] = task.truth(made, name)
+        np.savez(out / "truth" / f"{name}.npz", **true)
         write_pattern(garment(), out / "truth" / f"{name}_specification.json")
         np.save(out / "bodies" / f"{name}.npy", made["body"].numpy())
     (out / "task.json").write_text(json.dumps({"task": task.name, "mini": True, "device": "CPU", "finished": True}))
@@ -61,7 +68,7 @@ def scored(folder: Path, answers: Path) -> dict[str, dict[str, Any]]:
     return {row.pop("name"): row for row in json.loads(out.read_text())["garments"]}
 
 
-def labels_of(folder: Path, name: str) -> dict[str, np.ndarray]:
+def labels_of(folder: Path, name: str) -> dict[str, Any]:
     with np.load(folder / "truth" / f"{name}.npz") as truth:
         found = {key: truth[key].argmax(axis=1) for key in VertexLabels.__dataclass_fields__}
         return found | {"seams": np.where(truth["seams"].any(axis=1), found["seams"], -1)}
@@ -117,6 +124,11 @@ def test_measures_are_compared_by_name(folder: Path, tmp_path: Path, capsys: pyt
     assert np.load(folder / "inputs" / "a.npy")[:, 6].tolist() == [1, 1, 0, 0, 1]
     assert main(["score", str(answers), str(folder), "--drape"]) == 2
     assert "T5: its answers are no patterns: leave out --repair and --drape" in capsys.readouterr().err
+    (tmp_path / "card.toml").write_text(CARD)
+    command = ["bench", "submit", str(answers), str(folder), "--card", str(tmp_path / "card.toml")]
+    assert main([*command, "--out", str(tmp_path / "result.json"), "--quiet"]) == 0
+    assert main(["bench", "board", str(tmp_path / "result.json")]) == 0
+    assert "| rank | model | error_cm | error_degrees |" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("folder", ["T6"], indirect=True)

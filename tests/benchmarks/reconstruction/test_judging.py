@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.garments import GarmentSet, generated
-from benchmarks.reconstruction.judging import Patterns, draw_mesh, judge_of, score_measures
+from benchmarks.reconstruction.judging import Patterns, draw_mesh, judge_of
 from benchmarks.reconstruction.models.baselines import box_mesh, mean_measures, nearest_labels, nearest_measures
 from benchmarks.reconstruction.models.measures import scans_of
 from benchmarks.reconstruction.tasks import task_named
@@ -18,6 +18,7 @@ from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.measurements import ANGLES, MEASURES
+from gcd_dataset.metrics import score_measures
 from gcd_dataset.records import Pattern
 from gcd_dataset.scoring.bodies import wearers_of
 from gcd_dataset.scoring.distances import (
