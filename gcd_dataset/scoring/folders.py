@@ -89,6 +89,9 @@ def score(
     Raises ``GcdError`` for folders, true patterns, bodies and inputs that are missing or cannot be read.
     """
     task = read_task(truth) if is_task_folder(truth) else None
+    arrays = task is not None and TASKS[task.task].truth is not None
+    if arrays and (repair or bodies or drapes):
+        raise ConfigError(f"{truth}: answers are no patterns: leave out --repair, --bodies and --drape")
     if task:
         task.require_frozen()
         truth, bodies = task.truth, bodies or str(task.bodies)
@@ -97,9 +100,7 @@ def score(
     hashes = {"truth": _hash_of(files)}
     settings: dict[str, Any] = {"gcd_dataset": __version__, "numpy": np.__version__, "hashes": hashes}
     settings |= {"task": task.task, "mini": task.mini, "device": task.device} if task else {}
-    if task and TASKS[task.task].truth:
-        if repair or drapes:
-            raise ConfigError(f"{task.task}: its answers are no patterns: leave out --repair and --drape")
+    if task and arrays:
         return _score_arrays(task, answers, files, settings, shown)
     wearers = wearers_of(bodies or NEUTRAL)
     reader = AnswerReader(repair, (lambda name: wearers.wearer(name, legs_apart=False)[1]) if bodies else None)

@@ -123,7 +123,7 @@ def test_measures_are_compared_by_name(folder: Path, tmp_path: Path, capsys: pyt
     assert "score.error_cm 75 cm" in capsys.readouterr().out
     assert np.load(folder / "inputs" / "a.npy")[:, 6].tolist() == [1, 1, 0, 0, 1]
     assert main(["score", str(answers), str(folder), "--drape"]) == 2
-    assert "T5: its answers are no patterns: leave out --repair and --drape" in capsys.readouterr().err
+    assert "answers are no patterns: leave out --repair, --bodies and --drape" in capsys.readouterr().err
     (tmp_path / "card.toml").write_text(CARD)
     command = ["bench", "submit", str(answers), str(folder), "--card", str(tmp_path / "card.toml")]
     assert main([*command, "--out", str(tmp_path / "result.json"), "--quiet"]) == 0
