@@ -16,14 +16,7 @@ from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.jsonfile import JsonPath, read_json
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.metrics import (
-    TrueLabels,
-    VertexLabels,
-    VertexScore,
-    score_drape,
-    score_labels,
-    score_measures,
-)
+from gcd_dataset.metrics import TrueLabels, VertexLabels, VertexScore, score_drape, score_labels, score_measures
 from gcd_dataset.records import BoxMesh, Pattern
 from gcd_dataset.scoring.answers import read_arrays
 from gcd_dataset.scoring.bodies import wearers_of
@@ -65,9 +58,8 @@ def _judged_labels(task: TaskFolder, name: str, true: Pattern) -> Judged:
         found = read_arrays(path, [field.name for field in fields(VertexLabels)])
         for key, numbers in found.items():
             if numbers.shape != (len(truth.panels),) or numbers.dtype.kind not in "iu":
-                raise SpecError(
-                    f"{key}: {numbers.dtype} of shape {numbers.shape}: give {len(truth.panels)} whole numbers"
-                )
+                fault = f"{key}: {numbers.dtype} of shape {numbers.shape}"
+                raise SpecError(f"{fault}: give {len(truth.panels)} whole numbers")
         return score_labels(VertexLabels(**found), truth)
 
     return VertexScore(*[0.0] * len(fields(VertexScore))), score
