@@ -132,8 +132,8 @@ def _members(
 def assigned(predicted: Int[np.ndarray, " v"], true: Bool[np.ndarray, "v p"]) -> Int[np.ndarray, " v"]:
     """The true number of each predicted one (-1 for none), under the assignment with most vertices right.
 
-    >>> assigned(np.array([5, 5, 7, 2]), np.eye(2, dtype=bool)[[1, 1, 0, 0]]).tolist()
-    [1, 1, 0, -1]
+    >>> assigned(np.array([5, 5, 7, 7, 2]), np.eye(2, dtype=bool)[[1, 1, 0, 0, 0]]).tolist()
+    [1, 1, 0, 0, -1]
     """
     numbers, rows = np.unique(predicted, return_inverse=True)
     overlap = np.zeros((len(numbers), true.shape[1]))
