@@ -17,22 +17,12 @@ from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR, Map
 from gcd_dataset.loaders import VIEW_FIELDS, Scan, Views
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.loaders.scenes import BodyOf
+from gcd_dataset.metrics.answers import CLASS_OF, PANEL_CLASSES, panel_class
 from gcd_dataset.records import BodyPart, EdgeRole
-from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES, POINTS, SCAN_SIZE
+from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES, POINTS, SCAN_SIZE, person_points, seen_all_round
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, PanelColumn
 
 CENTRE = np.array([0.0, 100.0, 0.0])  # cm, roughly the centre of garments: half precision is finest near 0
-PANEL_CLASSES = (
-    "other",
-    *(f"{side}_{part}" for side in ("left", "right") for part in (
-        "ftorso", "btorso", "sleeve_f", "sleeve_b", "collar_front", "collar_back", "hood",
-    )),
-    *(f"sl_{side}_cuff{kind}_{part}" for side in ("left", "right") for kind in ("", "_skirt") for part in "fb"),
-    *(f"pant_{part}_{side}" for side in "lr" for part in "fb"),
-    *(f"pant_{side}_cuff{kind}_{part}" for side in "lr" for kind in ("", "_skirt") for part in "fb"),
-    "wb_front", "wb_back", "skirt_front", "skirt_back", "skirt_panel", "ins_skirt_front", "ins_skirt_back",
-)  # fmt: skip
-"""Names of panels without numbers, the classes of task T4; ``other`` for names that are not listed."""
 MOST_NUMBERED: Mapping[str, int] = {
     "skirt_panel": 15, "skirt_front": 5, "skirt_back": 5, "ins_skirt_front": 6, "ins_skirt_back": 6,
 }  # fmt: skip
@@ -47,7 +37,6 @@ FIT = ("sizes", *RINGS)
 CANDIDATES = 4  # triangles whose distance to a point is measured
 SIDES = {"left": "right", "right": "left", "_l": "_r", "_r": "_l"}
 ROW_OF_NAME = {name: row for row, name in enumerate(PANEL_NAMES)}
-CLASS_OF = {name: row for row, name in enumerate(PANEL_CLASSES)}
 MIRRORED = tuple(
     CLASS_OF.get(re.sub("left|right|_[lr](?=_|$)", lambda found: SIDES[found[0]], name), row)
     for row, name in enumerate(PANEL_CLASSES)
@@ -59,15 +48,6 @@ MIRRORED_EDGES = tuple(EDGE_LABELS.index(EdgeRole(name).mirrored if name else ""
 
 POINT_LABELS = ("box_labels", "draped_labels")
 """Names of the arrays of labels of surface points: of the box mesh, and of the drape."""
-
-
-def panel_class(name: str) -> int:
-    """The row of ``PANEL_CLASSES`` for the name of a panel.
-
-    >>> PANEL_CLASSES[panel_class("ins_skirt_front_3")], PANEL_CLASSES[panel_class("pocket")]
-    ('ins_skirt_front', 'other')
-    """
-    return CLASS_OF.get(re.sub(r"_?\d+", "", name), 0)
 
 
 @dataclass(frozen=True)
@@ -86,6 +66,8 @@ def derived_arrays(item: Item, names: Sequence[str], bodies: BodyOf | None = Non
     """
     if "views" not in item and not {"pictures", "shown"}.isdisjoint(names):
         item = picture_views("cpu", bodies)(item)
+    if "person" in names:
+        item = seen_all_round(bodies)(item)
     if "scan" in names:
         item = Scan(n=1, points=POINTS, size=SCAN_SIZE, bodies=bodies)(item)
     return {name: DERIVED[name].of(item) if name in DERIVED else item[name].numpy() for name in names}
@@ -186,6 +168,7 @@ DERIVED: Mapping[str, Derived] = {
     "fit": Derived(("meta",), _fit),
     "panel_classes": Derived(("meta",), _panel_classes),
     "panel_names": Derived(("meta",), _panel_names),
+    "person": Derived(VIEW_FIELDS, person_points),
     "pictures": Derived(VIEW_FIELDS, _pictures),
     "pose": Derived(("meta",), _pose),
     "scan": Derived(VIEW_FIELDS, _scan),
@@ -196,6 +179,7 @@ the nearest triangle, a row of ``PANEL_CLASSES``. The others are those of its ne
 row of ``EDGE_LABELS``, and 1 on a seam. Bands along edges and seams are therefore about as wide as a triangle;
 ``design`` (1, d): parameters, as ``encode_design``; ``fit`` (1, 4): ``FIT``, NaN for a ring without cloth;
 ``panel_classes`` (p): rows of ``PANEL_CLASSES``; ``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others;
+``person`` (n, 7): points of garment and visible body as in the inputs of T5, NaN if no camera sees the garment;
 ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart; ``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth,
 lights and places, u8 sRGB; ``shown`` (``PICTURES``, h, w): what their pixels show, u8 as ``pixel_labels``;
 ``scan`` (``POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured none."""

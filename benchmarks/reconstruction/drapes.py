@@ -7,24 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 import torch
-import warp as wp
 from jaxtyping import Float
 
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.wearers import box_mesh_of, measurements_of, wearer_of
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.device import resolve_device
-from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
-from gcd_dataset.generator.drape.model import build_model
-from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.drape import DrapeJob, drape_batch
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
 from gcd_dataset.generator.mesh.coarse import coarse_start
 from gcd_dataset.generator.mesh.triangulate import barycentric
+from gcd_dataset.metrics import DrapeScore, score_drape
 from gcd_dataset.records import BoxMesh
-
-AT_ONCE = 32  # garments whose crossings are counted together
-CLOSE = 1.0  # cm
+from gcd_dataset.scoring.draping import crossings_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,57 +33,25 @@ class DrapedVertices:
 
 
 @dataclass(frozen=True)
-class DrapeScore:
-    """Scores of the predicted drape of one garment; smaller is better, but for ``within_1cm``."""
+class TimedScore(DrapeScore):
+    """Scores of the predicted drape of one garment, with its time."""
 
-    error_cm: float
-    """Mean distance of a vertex from its place in the drape."""
-    error_p95_cm: float
-    """95th percentile of these distances."""
-    within_1cm: float
-    """1 if the mean distance is at most 1 cm."""
-    stretch_error: float
-    """Mean difference of edge lengths from those in the drape, over the flat length."""
-    self_crossings: float
-    """Edges of the cloth that cross the cloth."""
-    body_crossings: float
-    """Edges of the cloth that cross the skin."""
-    body_through: float
-    """Edges of the skin that cross the cloth."""
     ms: float
     """Time of a garment."""
 
 
 def score_drapes(
     answers: Sequence[DrapedVertices], garments: GarmentSet, *, device: str = "auto", crossings: bool = True
-) -> list[DrapeScore]:
+) -> list[TimedScore]:
     """The scores of answers for garments; without ``crossings`` they are 0."""
     none = [(0, 0, 0)] * len(answers)
     counts = counted([answer.vertices for answer in answers], garments, device=device) if crossings else none
-    return [_score(answer, garments, k, count) for k, (answer, count) in enumerate(zip(answers, counts, strict=True))]
-
-
-def _score(answer: DrapedVertices, garments: GarmentSet, k: int, crossings: tuple[int, int, int]) -> DrapeScore:
-    true, faces = garments.ragged["verts"][k].astype(float), garments.ragged["faces"][k]
-    away = np.linalg.norm(answer.vertices - true, axis=1)
-    flat = _sides(garments.ragged["uv"][k].astype(float)[garments.ragged["corners"][k]])
-    off = np.abs(_sides(answer.vertices[faces]) - _sides(true[faces])) / np.maximum(flat, 1e-2)
-    error = float(away.mean())
-    cloth, skin, through = crossings
-    return DrapeScore(
-        error_cm=error,
-        error_p95_cm=float(np.percentile(away, 95)),
-        within_1cm=float(error <= CLOSE),
-        stretch_error=float(off.mean()),
-        self_crossings=float(cloth),
-        body_crossings=float(skin),
-        body_through=float(through),
-        ms=answer.ms,
-    )
-
-
-def _sides(corner: Float[np.ndarray, "f 3 d"]) -> Float[np.ndarray, "f 3"]:
-    return np.asarray(np.linalg.norm(corner[:, [1, 2, 0]] - corner, axis=-1))
+    found = []
+    for k, (answer, count) in enumerate(zip(answers, counts, strict=True)):
+        flat = garments.ragged["uv"][k].astype(float)[garments.ragged["corners"][k]]
+        true, faces = garments.ragged["verts"][k].astype(float), garments.ragged["faces"][k]
+        found.append(TimedScore(**vars(score_drape(answer.vertices, true, faces, flat, count)), ms=answer.ms))
+    return found
 
 
 # -------------------------------------------------------------------------------------------------------- the crossings
@@ -98,17 +61,11 @@ def counted(
     drapes: Sequence[Float[np.ndarray, "v 3"]], garments: GarmentSet, *, device: str = "auto"
 ) -> list[tuple[int, int, int]]:
     """Crossing edges of each drape as our solver counts them: cloth and cloth, cloth and skin, skin and cloth."""
-    found: list[tuple[int, int, int]] = []
-    for first in range(0, len(drapes), AT_ONCE):
-        rows = range(first, min(first + AT_ONCE, len(drapes)))
-        config = DrapeConfig()
-        jobs = [DrapeJob(box_mesh_of(garments, k), wearer_of(garments, k), measurements_of(garments, k)) for k in rows]
-        solver = Solver(build_model(jobs, config, resolve_device(device)), config)
-        together = np.concatenate([drapes[k] for k in rows]).astype(np.float32)
-        solver.state.x.assign(wp.array(together, dtype=wp.vec3, device=solver.model.device))
-        columns = (solver.self_crossings(), solver.body_crossings(), solver.body_through())
-        found += [tuple(map(int, row)) for row in zip(*columns, strict=True)]  # type: ignore[misc]
-    return found
+    jobs = (
+        DrapeJob(box_mesh_of(garments, k), wearer_of(garments, k), measurements_of(garments, k))
+        for k in range(len(drapes))
+    )
+    return list(crossings_of(jobs, drapes, device=device))
 
 
 # ------------------------------------------------------------------------------------------------------- the own solver

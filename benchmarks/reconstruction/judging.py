@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, astuple, dataclass, fields, make_dataclass, replace
+from dataclasses import asdict, astuple, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,9 +15,10 @@ from benchmarks.reconstruction.tasks import ReconstructionTask
 from gcd_dataset.files import make_folder, open_whole, write_whole
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern
 from gcd_dataset.generator.lay_plan import PALETTE
-from gcd_dataset.measurements import ANGLES, MEASURES
-from gcd_dataset.metrics import bootstrap_means
+from gcd_dataset.measurements import MEASURES
+from gcd_dataset.metrics import assigned, bootstrap_means, score_labels, score_measures
 from gcd_dataset.scoring.garments import scores_of
+from gcd_dataset.scoring.inputs import vertex_order
 from gcd_dataset.spec import write_pattern
 
 SHOWN = 8  # garments in pictures
@@ -126,16 +127,16 @@ def beside_truth(answers: Sequence[Any], truth: Sequence[Any], *, size: int = SI
 
 
 class Vertices:
-    """Answers are ``VertexLabels``, written as ``predictions/KEY.npz``."""
+    """Answers are ``VertexLabels``, written as ``predictions/KEY.npz`` in the order of ``gcd bench inputs``."""
 
     def scores(self, answers: Sequence[Any], garments: GarmentSet, *, workers: int = 0) -> list[Any]:
-        from benchmarks.reconstruction.vertex_labels import score_labels, true_labels
+        from benchmarks.reconstruction.labelled_surfaces import true_labels
 
         return [score_labels(answer, true_labels(garments, k)) for k, answer in enumerate(answers)]
 
     def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:
         """Front and back with true panels, then with the answer: assigned panels in their colours, others in red."""
-        from benchmarks.reconstruction.vertex_labels import assigned, true_labels
+        from benchmarks.reconstruction.labelled_surfaces import true_labels
 
         pictures = []
         for k, answer in enumerate(answers[:SHOWN]):
@@ -152,7 +153,8 @@ class Vertices:
         folder = make_folder(out / "predictions")
         for key, answer in zip(garments.keys, answers, strict=True):
             with open_whole(folder / f"{key}.npz") as file:
-                np.savez_compressed(file, **vars(answer))
+                order = vertex_order(key, len(answer.panels))
+                np.savez_compressed(file, **{name: labels[order] for name, labels in vars(answer).items()})
 
 
 # --------------------------------------------------------------------------------------- the measures, size and ease
@@ -259,30 +261,6 @@ def draw_mesh(
     for face in np.argsort(corner[:, :, 2].mean(axis=1)).tolist():
         canvas.polygon([tuple(point) for point in flat[faces[face]].tolist()], fill=tuple(fills[face].tolist()))
     return np.asarray(image.resize((size, size), Image.Resampling.LANCZOS))
-
-
-MeasureScore: Any = make_dataclass(
-    "MeasureScore",
-    [("error_cm", float), ("error_degrees", float), *((name, float) for name in MEASURES)],
-    frozen=True,
-    namespace={
-        "__doc__": "Absolute errors of a body's measures: means over lengths and angles, and each [cm, degrees]."
-    },
-)
-
-
-def score_measures(answer: Float[np.ndarray, " m"], true: Float[np.ndarray, " m"]) -> Any:
-    """The scores of an answer in the order of ``MEASURES`` [cm, degrees]. Raises ``ValueError`` for missing measures.
-
-    >>> true = np.full(len(MEASURES), 50.0)
-    >>> score_measures(true + 2, true).error_cm
-    2.0
-    """
-    if np.shape(answer) != (len(MEASURES),) or not np.isfinite(true).all():
-        raise ValueError(f"{np.size(answer)} measures, the truth has {np.isfinite(true).sum()} of {len(MEASURES)}")
-    errors = np.abs(np.asarray(answer, float) - np.asarray(true, float))
-    angle = np.array([name in ANGLES for name in MEASURES])
-    return MeasureScore(float(errors[~angle].mean()), float(errors[angle].mean()), *errors.tolist())
 
 
 @dataclass(frozen=True)

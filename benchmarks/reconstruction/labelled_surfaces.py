@@ -19,7 +19,7 @@ from benchmarks.reconstruction.surfaces import (
     packed_rows,
     surface_of,
 )
-from benchmarks.reconstruction.vertex_labels import true_labels
+from gcd_dataset import metrics
 from gcd_dataset.workers import parallel_map
 
 
@@ -33,6 +33,14 @@ class LabelBatch:
     seams: Bool[Tensor, "b n s"]
     classes: Bool[Tensor, "b n c"]
     edges: Bool[Tensor, "b n l"]
+
+
+def true_labels(garments: GarmentSet, k: int) -> metrics.TrueLabels:
+    """The labels of garment ``k``, from its mesh."""
+    ragged = garments.ragged
+    mesh = {name: ragged[name][k] for name in ("faces", "panel_id", "seams", "labels")}
+    stitches, classes = len(ragged["stitches"][k]), ragged["panel_classes"][k]
+    return metrics.true_labels(len(ragged["verts"][k]), **mesh, classes=classes, stitches=stitches)
 
 
 class LabelledSurfaces:

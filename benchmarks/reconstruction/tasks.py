@@ -48,7 +48,7 @@ SURFACES = (
     "verts", "faces", "panel_id", "seams", "corners", "uv", "uv_vertex", "box",
     "labels", "panel_classes", "pose",
 )  # fmt: skip
-"""Arrays of T4, T5 and T6, which share their garments and so their cache."""
+"""Arrays of T4 and T6, which share their garments and so their cache."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ TASKS = {
         ),
         ReconstructionTask(
             "T5", "points of garment and visible body", "measures", "error_cm", DRAPE,
-            points=2048, extra=SURFACES, sizes=(1000, 4000),
+            points=2048, extra=(*POSE, "person"), sizes=(1000, 4000),
         ),
         ReconstructionTask(
             "T6", "pattern, box mesh and body", "positions of the drape", "error_cm", DRAPE,

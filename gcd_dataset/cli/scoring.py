@@ -33,7 +33,7 @@ def add_verbs(verbs: Any) -> None:
     bench = add_verb(verbs, "bench", _bench, "the scoreboard: test inputs, a result file, the tables")
     actions = bench.add_subparsers(dest="action", required=True, metavar="ACTION")
     inputs = actions.add_parser("inputs", help="write the frozen test inputs of a task; resumes if stopped")
-    inputs.add_argument("task", metavar="TASK", help="T1, T1-scan, T2, T3 or T3-subdivided")
+    inputs.add_argument("task", metavar="TASK", help="T1, T1-scan, T2, T3, T3-subdivided, T4, T5 or T6")
     inputs.add_argument("out", type=Path, metavar="OUT", help="folder for inputs, true patterns and bodies")
     inputs.add_argument("--mini", action="store_true", help="100 garments for a laptop (default: 2000)")
     inputs.add_argument("--pictures", type=Path, metavar="DIR", help="of T2: lay out these photographs instead")

@@ -16,7 +16,7 @@ An answer that cannot be read is a failure with a reason, and stops nothing.
 
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -124,16 +124,24 @@ def _files(path: Path) -> list[Path]:
     raise SpecError(f"{path}: no answers: it should hold NAME.json, NAME_design_params.yaml or NAME.npz")
 
 
-def _from_tensors(path: Path, name: str) -> Pattern:
-    """The pattern of a ``PatternTensor``'s arrays. Pickled objects are never loaded."""
+def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, np.ndarray]:
+    """Arrays of an npz file. Pickled objects are never loaded. Raises ``SpecError``."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            panels, edges, stitches = (np.asarray(file[key], float) for key in TENSORS)
-            lines = np.asarray(file["lines"], float) if "lines" in file else NO_LINES
-            closures = np.asarray(file["closures"], float) if "closures" in file else sewn_rows(len(stitches))
+            return {name: np.asarray(file[name]) for name in (*names, *(name for name in optional if name in file))}
     except UNREADABLE as cause:
         reason = shown(str(cause).partition("\n")[0])
-        raise SpecError(f"cannot be read ({reason}): save {', '.join(TENSORS)} with numpy.savez") from cause
+        raise SpecError(f"{path}: cannot be read ({reason}): save {', '.join(names)} with numpy.savez") from cause
+
+
+def _from_tensors(path: Path, name: str) -> Pattern:
+    """The pattern of a ``PatternTensor``'s arrays."""
+    try:
+        found = {key: rows.astype(float) for key, rows in read_arrays(path, TENSORS, ("lines", "closures")).items()}
+    except UNREADABLE as cause:
+        raise SpecError(f"its arrays hold no numbers: save {', '.join(TENSORS)} with numpy.savez") from cause
+    panels, edges, stitches = (found[key] for key in TENSORS)
+    lines, closures = found.get("lines", NO_LINES), found.get("closures", sewn_rows(len(stitches)))
     if panels.ndim != 2 or edges.ndim != 2 or stitches.ndim != 2:
         raise SpecError("panels, edges and stitches are not all tables: save those of one garment in a file")
     names = tuple(map(str, range(len(panels))))

@@ -26,18 +26,23 @@ from gcd_dataset.jsonfile import JsonPath, read_json, read_toml
 from gcd_dataset.metrics import bootstrap_means
 from gcd_dataset.scoring.folders import Scores
 from gcd_dataset.scoring.inputs import TASKS
+from gcd_dataset.scoring.table import OF_ARRAYS
 
 SCHEMA = 1
 DEVICES = ("CPU", "GPU", "")  # that drape inputs and answers; empty without drapes
 CARD: Mapping[str, type] = {"name": str, "garments": int, "minutes": float, "weights": int, "hardware": str}
 MORE: Mapping[str, type] = {"url": str, "note": str, "baseline": bool}
 WORDS: Mapping[type, str] = {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}
-HEADLINES = {"T3": "stitch_nm_perfect", "T3-subdivided": "garment_perfect"}
+HEADLINES = {
+    "T3": "stitch_nm_perfect", "T3-subdivided": "garment_perfect", "T4": "panel_label", "T5": "error_cm",
+    "T6": "error_cm",
+}  # fmt: skip
 """The score that ranks a task's answers; of the other tasks ``STRICT``, or ``COMBINATORIAL`` without drapes."""
 STRICT, COMBINATORIAL = "strict_within_1cm", "combinatorial"
 COLUMNS = (
     "strict_within_1cm", "strict_unaided", "edges_within_1cm", "combinatorial", "garment_perfect", "iou",
     "stitch_f1", "stitch_nm_perfect", "stitch_nm_f1", "redrape_cd_cm",
+    *OF_ARRAYS,
 )  # fmt: skip
 
 
@@ -126,7 +131,8 @@ def _table(task: str, mini: bool, devices: str, results: Sequence[tuple[Path, di
         own += [result] if result not in own else []
 
     def order(row: Mapping[str, Any]) -> tuple[bool, float]:
-        return bool(row["model"].get("baseline")), -row["figures"].get(headline, {"mean": -1.0})["mean"]
+        mean = row["figures"][headline]["mean"] if headline in row["figures"] else math.inf
+        return bool(row["model"].get("baseline")), mean if headline.startswith("error") or mean == math.inf else -mean
 
     rows = sorted((_pooled(seeds, columns, headline) for seeds in models.values()), key=order)
     count = len(first[1]["garments"])

@@ -6,15 +6,18 @@ only in these, or by the rounding of a file, drapes to the same bytes. ``strict_
 the body: it is draped as it is written, on its own body or the neutral one.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, islice
 
 import numpy as np
+from jaxtyping import Float
 
 from gcd_dataset.curves import mirrored, sample_curve
 from gcd_dataset.errors import BodyError, GcdError
-from gcd_dataset.generator.drape import DrapeJob, drape_all
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_all, resolve_device
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh import coarse_start
@@ -51,6 +54,7 @@ WITHIN, MOST_WITHIN = 1.0, 2.0  # cm: the largest mean distance of a right drape
 OPENINGS_WITHIN = 1.5  # cm: the largest distance of a hem, a sleeve end, a neckline or another opening
 ROUNDING = 1e-3  # cm: a panel drawn and placed this close to the true one is the true one
 TURN = 1e-5  # rad: likewise
+AT_ONCE = 32  # garments whose crossings are counted together
 TRUE, AIDED, UNAIDED = range(3)
 """Drapes of a garment: the true pattern; the answer as ``arranged``, on the true body; the answer as written."""
 
@@ -122,6 +126,18 @@ def with_drapes(
             yield _scored(garments[row], row, draped, inputs, partial)
             row += 1
     yield from (_scored(garments[rest], rest, draped, inputs, partial) for rest in range(row, len(garments)))
+
+
+def crossings_of(
+    jobs: Iterable[DrapeJob], drapes: Iterable[Float[np.ndarray, "v 3"]], *, device: str = "auto"
+) -> Iterator[tuple[int, int, int]]:
+    """Crossing edges of given positions, as the solver counts them: cloth and cloth, cloth and skin, skin and cloth."""
+    config, pairs = DrapeConfig(), zip(jobs, drapes, strict=True)
+    while batch := list(islice(pairs, AT_ONCE)):
+        solver = Solver(build_model([job for job, _ in batch], config, resolve_device(device)), config)
+        solver.state.x.assign(np.concatenate([vertices for _, vertices in batch]).astype(np.float32))
+        for row in zip(solver.self_crossings(), solver.body_crossings(), solver.body_through(), strict=True):
+            yield int(row[0]), int(row[1]), int(row[2])
 
 
 @dataclass(frozen=True)

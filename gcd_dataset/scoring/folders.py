@@ -9,12 +9,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from gcd_dataset import __version__
-from gcd_dataset.errors import SpecError
+from gcd_dataset.errors import ConfigError, SpecError
 from gcd_dataset.scoring.answers import AnswerReader
 from gcd_dataset.scoring.bodies import NEUTRAL, Wearers, wearers_of
 from gcd_dataset.scoring.distances import input_files, read_shape
 from gcd_dataset.scoring.garments import SPACING, Scored, read_true, remarks_of, score_pair, true_files
-from gcd_dataset.scoring.inputs import INPUT_DRAPES, TaskFolder, device_class, is_task_folder, read_task
+from gcd_dataset.scoring.inputs import INPUT_DRAPES, TASKS, TaskFolder, device_class, is_task_folder, read_task
 from gcd_dataset.scoring.table import Summary, garment_table, line_of, summaries, summaries_by_kind, tree_of
 from gcd_dataset.workers import parallel_map
 
@@ -83,16 +83,25 @@ def score(
     """The scores of a folder of answers. Every true pattern counts: a missing answer gets the worst of every score.
 
     ``truth``: a folder of true specification files, or a folder of ``write_inputs``, which has bodies and inputs of its
-    own. ``repair``: see ``AnswerReader``. ``bodies``: see ``wearers_of``. ``drapes``: also drape the answers.
+    own, and of T4, T5 and T6 answers that are no patterns: see ``scoring.arrays``. ``repair``: see ``AnswerReader``.
+    ``bodies``: see ``wearers_of``. ``drapes``: also drape the answers.
 
     Raises ``GcdError`` for folders, true patterns, bodies and inputs that are missing or cannot be read.
     """
     task = read_task(truth) if is_task_folder(truth) else None
+    arrays = task is not None and TASKS[task.task].truth is not None
+    if arrays and (repair or bodies or drapes):
+        raise ConfigError(f"{truth}: answers are no patterns: leave out --repair, --bodies and --drape")
     if task:
         task.require_frozen()
         truth, bodies = task.truth, bodies or str(task.bodies)
         drapes = drapes and _of_task(drapes, task)
     files = true_files(truth)
+    hashes = {"truth": _hash_of(files)}
+    settings: dict[str, Any] = {"gcd_dataset": __version__, "numpy": np.__version__, "hashes": hashes}
+    settings |= {"task": task.task, "mini": task.mini, "device": task.device} if task else {}
+    if task and arrays:
+        return _score_arrays(task, answers, files, settings, shown)
     wearers = wearers_of(bodies or NEUTRAL)
     reader = AnswerReader(repair, (lambda name: wearers.wearer(name, legs_apart=False)[1]) if bodies else None)
     found = reader.read(answers)
@@ -103,9 +112,6 @@ def score(
         for name, path in sorted(files.items())
     )
     garments = list(shown(parallel_map(score_pair, pairs, workers), len(files), "scored"))
-    hashes = {"truth": _hash_of(files)}
-    settings: dict[str, Any] = {"gcd_dataset": __version__, "numpy": np.__version__, "hashes": hashes}
-    settings |= {"task": task.task, "mini": task.mini, "device": task.device} if task else {}
     if drapes:
         given = _inputs(drapes.inputs, files)
         shapes = {name: read_shape(path) for name, path in given.items()}
@@ -129,6 +135,17 @@ def score(
         )
         garments = list(shown(draped, len(files), "draped"))
     return Scores(tuple(garments), settings, tuple(remarks))
+
+
+def _score_arrays(
+    task: TaskFolder, answers: Path, files: Mapping[str, Path], settings: Mapping[str, Any], shown: Shown
+) -> Scores:
+    from gcd_dataset.scoring.arrays import answer_files, score_arrays
+
+    found = answer_files(task, answers)
+    remarks = tuple(f"{answers}: {line}" for line in remarks_of(found, files))
+    scored = (score_arrays(task, name, read_true(path), found.get(name)) for name, path in sorted(files.items()))
+    return Scores(tuple(shown(scored, len(files), "scored")), settings, remarks)
 
 
 def _of_task(drapes: Drapes, task: TaskFolder) -> Drapes:

@@ -3,7 +3,8 @@
 A task folder holds
 
 - ``inputs/NAME…``: what a model is given;
-- ``truth/NAME_specification.json`` and ``bodies/NAME.npy`` with ``NAME.meta.json``: what its answers are scored with;
+- ``truth/NAME_specification.json`` and ``bodies/NAME.npy`` with ``NAME.meta.json``: what its answers are scored with,
+  and ``truth/NAME.npz`` for answers that are no patterns;
 - ``task.json``: the task, its hashes, and the kind of device that draped the garments.
 
 Patterns and bodies are the same on every machine, whose hashes are in this module; drapes of a CPU and of a GPU differ,
@@ -14,34 +15,40 @@ import hashlib
 import json
 import re
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from gcd_dataset.errors import ConfigError, SpecError, did_you_mean
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.jsonfile import JsonPath, read_json
 from gcd_dataset.making.progress import Progress, ProgressCallback
+from gcd_dataset.measurements import MEASURES
+from gcd_dataset.metrics.answers import PANEL_CLASSES, panel_class, true_labels
 from gcd_dataset.patternhash import PatternHash, hash_pattern
+from gcd_dataset.records import BodyShape
 from gcd_dataset.scoring.bodies import read_weights
 from gcd_dataset.scoring.joining import joined
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import key_of
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
-from gcd_dataset.tensors import encode_pattern
+from gcd_dataset.tensors import EDGE_LABELS, encode_pattern
 
 if TYPE_CHECKING:
     from gcd_dataset.loaders.base import Item, Transform
+    from gcd_dataset.loaders.scenes import BodyOf
 
 SEED = 1  # of the test garments; ``benchmarks.reconstruction`` trains on other seeds
 TESTED, MINI = 2000, 100  # garments of a test set
 RESOLUTION = 2.0  # cm: edges of the meshes
 POINTS = 8192
 SCAN_SIZE = 320  # pixels of the depth camera along each side
+PERSON_CAMERAS, PERSON_POINTS, PERSON_SIZE = 4, 4096, 200  # of T5, without noise
 PICTURES, PICTURE_SIZE = 4, 128  # of a garment; pixels along each side
 PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".webp")
 TASK = "task.json"
@@ -63,7 +70,7 @@ Write = Callable[["Item", Path], None]
 
 @dataclass(frozen=True)
 class BoardTask:
-    """A task of the scoreboard whose answers are patterns."""
+    """A task of the scoreboard."""
 
     name: str
     given: str
@@ -74,6 +81,8 @@ class BoardTask:
     """Options of ``GeneratedGarments``."""
     transform: Callable[[], "Transform"] | None = None
     """Makes the transform that gives items what ``write`` needs."""
+    truth: Callable[["Item", str], Mapping[str, np.ndarray]] | None = None
+    """The true arrays of an item named so, with which answers are compared that are no patterns."""
 
 
 def _points(item: "Item", stem: Path) -> None:
@@ -116,6 +125,72 @@ def _panels(item: "Item", stem: Path) -> None:
     stem.with_name(f"{stem.name}.json").write_text(json.dumps(tree))
 
 
+def vertex_order(name: str, count: int) -> Int[np.ndarray, " v"]:
+    """The vertices of a garment's mesh in the order of T4: that of our files tells seams and panels."""
+    return np.random.default_rng([SEED, *name.encode()]).permutation(count)
+
+
+def _shuffled_mesh(item: "Item", stem: Path) -> None:
+    """Faces begin with their least vertex and are sorted."""
+    order = vertex_order(stem.name, len(item["verts"]))
+    faces = np.argsort(order)[item["faces"].numpy()]
+    faces = np.take_along_axis(faces, (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    faces = faces[np.lexsort(faces.T[::-1])].astype(np.int32)
+    _save_arrays(stem, {"vertices": item["verts"].numpy()[order].astype(np.float32), "faces": faces})
+
+
+def _vertex_labels(item: "Item", name: str) -> Mapping[str, np.ndarray]:
+    mesh = {key: item[key].numpy() for key in ("faces", "panel_id", "seams", "labels")}
+    classes = np.array([panel_class(panel) for panel in item["meta"]["panel_names"]])
+    count = len(item["verts"])
+    true = true_labels(count, **mesh, classes=classes, stitches=len(item["stitches"]))
+    return {key: table[vertex_order(name, count)] for key, table in vars(true).items()}
+
+
+def person_points(item: "Item") -> Float[np.ndarray, "n 7"]:
+    """Points of garment and visible body [cm], normals, 1 on cloth, of an item that ``seen_all_round`` scanned."""
+    return np.column_stack([item["scan"].numpy(), item["scan_panel_id"].numpy() >= 0]).astype(np.float32)
+
+
+def _person(item: "Item", stem: Path) -> None:
+    points = person_points(item)
+    _save(points[np.isfinite(points).all(axis=1)], stem)
+
+
+def _measures(item: "Item", name: str) -> Mapping[str, np.ndarray]:
+    return {"measures": np.array([item["measures"][measure] for measure in MEASURES])}
+
+
+def _box_mesh(item: "Item", stem: Path) -> None:
+    """The mesh before the drape, the wearer, and the pattern."""
+    from gcd_dataset.generator.views import stored_body
+
+    pose = item["meta"]["pose"]
+    shape = BodyShape(item["body"].numpy().astype(float), pose["arm_angle"], legs_apart=pose["legs_apart"])
+    body = stored_body(shape)
+    arrays = {name: item[name].numpy() for name in MESH} | {"vertices": item["box"].numpy().astype(np.float32)}
+    arrays |= {"body_vertices": body.vertices.astype(np.float32), "body_faces": body.faces.astype(np.int32)}
+    _save_arrays(stem, arrays)
+    _write_json(stem.with_name(f"{stem.name}_specification.json"), item["spec"])
+
+
+def _positions(item: "Item", name: str) -> Mapping[str, np.ndarray]:
+    return {"vertices": item["verts"].numpy(), "legs_apart": np.array(item["meta"]["pose"]["legs_apart"])}
+
+
+def _save_arrays(stem: Path, arrays: Mapping[str, Any]) -> None:
+    with stem.with_name(f"{stem.name}.npz").open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def seen_all_round(bodies: "BodyOf | None" = None) -> "Transform":
+    """Scans a person with four cameras, without noise: the error of a measure is that of the model."""
+    from gcd_dataset.generator.render.scans import NOISELESS
+    from gcd_dataset.loaders import Scan
+
+    return Scan(n=PERSON_CAMERAS, points=PERSON_POINTS, noise=NOISELESS, body=True, size=PERSON_SIZE, bodies=bodies)
+
+
 def _scanned() -> "Transform":
     from gcd_dataset.loaders import Scan
 
@@ -130,6 +205,12 @@ def _pictured() -> "Transform":
 
 DRAPED = {"drape": "warp", "points": POINTS}
 PATTERN = {"drape": None, "stage": "pattern"}
+MESH = ("faces", "uv", "corners", "uv_vertex", "panel_id", "seams", "labels")
+"""Fields of a box mesh besides its vertices."""
+WORDS: Mapping[str, Mapping[str, Sequence[str]]] = {
+    "T4": {"classes": PANEL_CLASSES, "edges": EDGE_LABELS}, "T5": {"measures": MEASURES}
+}  # fmt: skip
+"""Words that ``task.json`` lists: those whose numbers are answered, and the names of measures."""
 TASKS: Mapping[str, BoardTask] = {
     task.name: task
     for task in (
@@ -138,8 +219,20 @@ TASKS: Mapping[str, BoardTask] = {
         BoardTask("T2", f"NAME_0.png to NAME_{PICTURES - 1}.png: rendered pictures", _pictures, DRAPED, _pictured),
         BoardTask("T3", "NAME.json: the panels in random order, edges joined, without seams", _joined_panels, PATTERN),
         BoardTask("T3-subdivided", "NAME.json: the same, edges subdivided where seams end", _panels, PATTERN),
+        BoardTask(
+            "T4", "NAME.npz: vertices [cm] and faces of the draped mesh, in random order", _shuffled_mesh, DRAPED,
+            truth=_vertex_labels,
+        ),
+        BoardTask(
+            "T5", "NAME.npy: points of garment and visible body, normals, 1 on cloth (n, 7) [cm]", _person, DRAPED,
+            seen_all_round, _measures,
+        ),
+        BoardTask(
+            "T6", f"NAME.npz: vertices [cm], {', '.join(MESH)} of the box mesh; body_vertices [cm], body_faces; "
+            "NAME_specification.json: the pattern", _box_mesh, DRAPED, truth=_positions,
+        ),
     )
-}
+}  # fmt: skip
 
 
 INPUT_DRAPES: Mapping[str, bool] = {"T1": False, "T1-scan": True}
@@ -170,7 +263,7 @@ class TaskFolder:
 
     @property
     def truth(self) -> Path:
-        """The true patterns, as specification files."""
+        """The true patterns, as specification files, and arrays."""
         return self.path / "truth"
 
     @property
@@ -244,6 +337,7 @@ def write_inputs(
     kind = device_class(device) if made.options["drape"] else ""
     folder = TaskFolder(out, task, mini, kind)
     tree: dict[str, Any] = {"task": task, "given": made.given, "mini": mini, "seed": SEED, "device": kind}
+    tree |= {name: list(words) for name, words in WORDS.get(task, {}).items()}
     if is_task_folder(out):
         old = dict(JsonPath(str(out / TASK)).mapping(read_json(out / TASK, "description of a task"), ""))
         if {**old, "finished": None, "hashes": None} != {**tree, "finished": None, "hashes": None}:
@@ -252,7 +346,9 @@ def write_inputs(
         make_folder(part)
     _write_json(out / TASK, {**tree, "finished": False})
     first = len(list(folder.truth.glob("*.json")))  # written in order, each after its input
-    fields = (*VIEW_FIELDS, "points", "measures") if made.options["drape"] else ("meta", "spec", "body")
+    fields = (
+        (*VIEW_FIELDS, "points", "measures", "box", "labels") if made.options["drape"] else ("meta", "spec", "body")
+    )
     garments = GeneratedGarments(
         folder.count, SEED, **made.options, fields=fields, device=device, resolution=RESOLUTION, picture=0,
         on_fail="keep", transform=made.transform and made.transform(),
@@ -264,6 +360,8 @@ def write_inputs(
         made.write(item, folder.inputs / name)
         _save(item["body"].numpy(), folder.bodies / name)
         _write_json(folder.bodies / f"{name}.meta.json", {"pose": item["meta"]["pose"]})
+        if made.truth:
+            _save_arrays(folder.truth / name, made.truth(item, name))
         _write_json(folder.truth / f"{name}_specification.json", item["spec"])
         progress = replace(progress, made=progress.made + 1)
         if on_progress:

@@ -6,22 +6,35 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gcd_dataset.measurements import ANGLES, MEASURES
 from gcd_dataset.metrics import bootstrap_means
 
 if TYPE_CHECKING:
     from gcd_dataset.scoring.garments import Scored
 
 UNITS = {
+    **{name: "degrees" if name in ANGLES else "cm" for name in MEASURES},
+    "body_crossings": "edges",
+    "body_through": "edges",
     "boxmesh_cd": "cm",
+    "error_cm": "cm",
+    "error_degrees": "degrees",
+    "error_p95_cm": "cm",
     "openings_cm": "cm",
     "panel_l2": "cm",
     "panel_l2_pen": "cm",
     "redrape_cd_cm": "cm",
     "rot_deg": "degrees",
+    "self_crossings": "edges",
     "transl_cm": "cm",
 }
 """Units of the scores that are not shares."""
 COLUMNS = ("valid", "iou", "panel_count_acc", "edge_count_acc", "stitch_f1", "stitch_nm_f1", "combinatorial")
+OF_ARRAYS = (
+    "panel_label", "panels_exact", "seam_label", "seam_f1", "edge_label", "error_cm", "error_degrees", "error_p95_cm",
+    "within_1cm", "stretch_error", "self_crossings", "body_crossings", "body_through",
+)  # fmt: skip
+"""Scores of answers that are no patterns."""
 DRAPED = ("sim_ok", "redrape_cd_cm", "openings_cm", "strict_within_1cm", "strict_unaided")
 """Scores of drapes."""
 SHORT = {
@@ -78,7 +91,7 @@ def line_of(figure: Summary, prefix: str = "score") -> str:
 def garment_table(garments: Sequence["Scored"]) -> str:
     """One line for each garment, with the reason of a failure; of many garments, only those with a remark."""
     chosen = [garment for garment in garments if len(garments) <= MOST_ROWS or garment.failure or garment.remarks]
-    columns = [name for name in (*COLUMNS, *DRAPED) if name in garments[0].values]
+    columns = [name for name in (*COLUMNS, *DRAPED, *OF_ARRAYS) if name in garments[0].values]
     rows = [["garment", "kind", *(SHORT.get(name, name) for name in columns), "remark"]]
     for garment in chosen[:MOST_ROWS]:
         remark = "; ".join(filter(None, (garment.failure, *garment.remarks)))

@@ -24,7 +24,7 @@ CPU = torch.device("cpu")
 
 @cache
 def skirts() -> GarmentSet:
-    return generated(4, 0, points=64, extra=SURFACES, resolution=8.0, design=SKIRTS)
+    return generated(4, 0, points=64, extra=(*SURFACES, "person"), resolution=8.0, design=SKIRTS)
 
 
 def by_heart(model: str, steps: int, **options: Any) -> tuple[list[Any], list[dict[str, float]]]:

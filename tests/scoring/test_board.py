@@ -54,6 +54,18 @@ def test_models_are_compared_by_garment(tmp_path: Path) -> None:
     assert "| -0.050 [-0.050, -0.050] | 4,000" in second
 
 
+def test_the_least_error_is_first(tmp_path: Path) -> None:
+    files = [result(tmp_path / f"{error}.json", f"off by {error}", 0.5) for error in (3.0, 0.5)]
+    for path in files:
+        tree = json.loads(path.read_text())
+        tree["settings"]["task"] = "T5"
+        tree["figures"] = {"error_cm": dict.fromkeys(("mean", "low", "high"), float(path.stem))}
+        tree["garments"] = [{"name": "a", "error_cm": float(path.stem)}]
+        path.write_text(json.dumps(tree))
+    rows = [line.split(" | ")[:2] for line in tables(files).splitlines() if "one GPU" in line]
+    assert rows == [["| 1", "off by 0.5"], ["| 2", "off by 3.0"]]
+
+
 def test_drapes_of_a_cpu_and_of_a_gpu_share_no_table(tmp_path: Path) -> None:
     files = [result(tmp_path / f"{kind}.json", kind, 0.5) for kind in ("CPU", "GPU")]
     for path in files:

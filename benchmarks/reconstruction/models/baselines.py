@@ -14,11 +14,12 @@ from torch import Tensor
 from benchmarks.reconstruction.drapes import DrapedVertices, redraped
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.judging import numbers_of
+from benchmarks.reconstruction.labelled_surfaces import true_labels
 from benchmarks.reconstruction.models.measures import scans_of
 from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import ToTargets, patterns_from
 from benchmarks.reconstruction.picture_model import pictures_of
-from benchmarks.reconstruction.vertex_labels import VertexLabels, true_labels
+from gcd_dataset.metrics import VertexLabels
 from gcd_dataset.records import Pattern
 from gcd_dataset.workers import parallel_map
 
@@ -90,7 +91,7 @@ def nearest_measures(
     known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0
 ) -> list[np.ndarray]:
     """The measures of the known body at the least chamfer distance of the scans, for each unseen one."""
-    scans = (scans_of(garments, workers=workers) for garments in (unseen, known))
+    scans = (scans_of(garments) for garments in (unseen, known))
     ours, theirs = (scan[:, :POINTS, :3].to(device) for scan in scans)
     return [known.measures[row].astype(float) for row in nearest_garments(ours, theirs).tolist()]
 

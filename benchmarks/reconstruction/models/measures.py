@@ -14,10 +14,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from benchmarks.reconstruction.derived import CENTRE
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner, TensorExamples, sizes_from, squared_distances, uploaded
 from benchmarks.reconstruction.surface_net import FREQUENCIES, LAYER_OPTIONS, mlp, waves
-from benchmarks.reconstruction.wearers import dressed_scans
+from benchmarks.reconstruction.surfaces import METRE
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.measurements import ANGLES, MEASURES
 
 TASKS = ("T5",)
@@ -122,9 +124,7 @@ class MeasureNet(Learner[Scans, np.ndarray]):
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> _Drawn:
         """The scans. The first set prepared, the training set, gives the mean and the deviation of the measures."""
-        whole = Scans(
-            scans_of(garments, workers=workers).to(device), torch.from_numpy(garments.measures).float().to(device)
-        )
+        whole = Scans(scans_of(garments).to(device), torch.from_numpy(garments.measures).float().to(device))
         if not self.deviation.any():
             self.mean.copy_(whole.measures.mean(dim=0))
             self.deviation.copy_(whole.measures.std(dim=0, correction=0).clamp(min=LEAST_DEVIATION))
@@ -165,9 +165,16 @@ def build(config: Mapping[str, Any]) -> MeasureNet:
     return MeasureNet(sizes)
 
 
-def scans_of(garments: GarmentSet, *, workers: int = 0) -> Float[Tensor, "g n 7"]:
-    """The scans of a set, their points in an order that is random and the same for all."""
-    found = dressed_scans(garments, workers=workers)
+def scans_of(garments: GarmentSet) -> Float[Tensor, "g n 7"]:
+    """The scans of a set, their points in an order that is random and the same for all.
+
+    Positions relative to ``CENTRE`` [m], normals, 1 on cloth. Raises ``ConfigError`` where no camera sees the garment.
+    """
+    found = np.stack([garments.ragged["person"][k] for k in range(len(garments))])
+    for key, points in zip(garments.keys, found, strict=True):
+        if not np.isfinite(points).all():
+            raise ConfigError(f"garment {key}: no camera sees it: leave it out of the set")
+    found[..., :3] = (found[..., :3] - CENTRE) / METRE
     return torch.from_numpy(found[:, np.random.default_rng(0).permutation(found.shape[1])])
 
 

@@ -18,13 +18,14 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.derived import CENTRE, MIRRORED, MIRRORED_EDGES, PANEL_CLASSES, POINT_LABELS
+from benchmarks.reconstruction.derived import CENTRE, MIRRORED, MIRRORED_EDGES, POINT_LABELS
 from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignDecoder, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Examples, Learner, TensorExamples, encoded_by, sizes_from, uploaded
 from benchmarks.reconstruction.panel_targets import UNIT, scaled_points
 from benchmarks.reconstruction.point_net import EncoderConfig, PointTokens, require_tokens
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.metrics.answers import PANEL_CLASSES
 from gcd_dataset.records import Pattern
 from gcd_dataset.tensors import EDGE_LABELS
 from gcd_dataset.workers import parallel_map

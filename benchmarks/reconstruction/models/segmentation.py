@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.derived import PANEL_CLASSES
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.labelled_surfaces import LabelBatch, LabelledSurfaces
 from benchmarks.reconstruction.learners import Learner, least_cost, sizes_from
@@ -21,7 +20,8 @@ from benchmarks.reconstruction.surface_net import LAYER_OPTIONS, SurfaceNet, Sur
 from benchmarks.reconstruction.surfaces import (
     SurfaceBatch,
 )
-from benchmarks.reconstruction.vertex_labels import VertexLabels
+from gcd_dataset.metrics import VertexLabels
+from gcd_dataset.metrics.answers import PANEL_CLASSES
 from gcd_dataset.tensors import EDGE_LABELS
 
 TASKS = ("T4",)

@@ -24,7 +24,7 @@ def six() -> GarmentSet:
 @pytest.fixture(scope="session")
 def draped() -> GarmentSet:
     """Two skirts, draped, with all arrays of the tasks T4 to T6."""
-    return generated(3, 0, points=64, extra=SURFACES, resolution=6.0, design=SKIRTS).select([0, 1])
+    return generated(3, 0, points=64, extra=(*SURFACES, "person"), resolution=6.0, design=SKIRTS).select([0, 1])
 
 
 @pytest.fixture(autouse=True)

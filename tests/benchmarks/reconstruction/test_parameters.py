@@ -11,7 +11,7 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from benchmarks.reconstruction.derived import CENTRE, DERIVED, PANEL_CLASSES, derived_arrays
+from benchmarks.reconstruction.derived import CENTRE, DERIVED, derived_arrays
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
 from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
@@ -27,6 +27,7 @@ from gcd_dataset.generator.garments.parameter import Choice, plain
 from gcd_dataset.loaders import GeneratedGarments
 from gcd_dataset.measurements import MEASURES, Measurements
 from gcd_dataset.metrics import score_pattern
+from gcd_dataset.metrics.answers import PANEL_CLASSES
 from gcd_dataset.records import Pattern
 from gcd_dataset.tensors import EDGE_LABELS
 

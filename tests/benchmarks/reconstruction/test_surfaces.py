@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction.derived import MIRRORED, PANEL_CLASSES, panel_class
+from benchmarks.reconstruction.derived import MIRRORED
 from benchmarks.reconstruction.drapes import (
     DrapedVertices,
     counted,
     score_drapes,
 )
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
+from benchmarks.reconstruction.labelled_surfaces import true_labels
 from benchmarks.reconstruction.models.baselines import box_mesh, solver
 from benchmarks.reconstruction.models.drape_surrogate import SMALL as SMALL_SURROGATE
 from benchmarks.reconstruction.models.drape_surrogate import build as build_surrogate
@@ -26,7 +27,8 @@ from benchmarks.reconstruction.surfaces import (
     drawn_turn,
     surface_of,
 )
-from benchmarks.reconstruction.vertex_labels import TrueLabels, VertexLabels, VertexScore, score_labels, true_labels
+from gcd_dataset.metrics import TrueLabels, VertexLabels, VertexScore, score_labels
+from gcd_dataset.metrics.answers import PANEL_CLASSES, panel_class
 from gcd_dataset.tensors import EDGE_LABELS
 
 CPU = torch.device("cpu")
