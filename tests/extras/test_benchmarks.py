@@ -43,7 +43,7 @@ def test_answers_are_draped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         assert main([*call, *flags]) == 0
     assert json.loads((out / "report.json").read_text()) == report
     evaluation = json.loads((out / "evaluation.json").read_text())
-    assert [garment["name"] for garment in evaluation["garments"]] == [f"1_{k:09d}" for k in range(3)]
+    assert [garment["name"] for garment in evaluation["garments"]] == [f"gcd_{k:09d}" for k in range(3)]
     assert report["scores"]["strict_within_1cm"][0] == report["scores"]["sim_ok"][0] == 1
     assert 0 < report["scores"]["redrape_cd_cm"][0] < 0.7
     assert report["scores_of_kinds"]["skirt"]["redrape_cd_cm"] == pytest.approx(report["scores"]["redrape_cd_cm"][0])
