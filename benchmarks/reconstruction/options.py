@@ -86,8 +86,9 @@ class Config:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The options that a training that goes on must share."""
-        return {name: getattr(self, name) for name in OF_WEIGHTS}
+        """The options that a training that goes on must share, with the numbers that are split off a source."""
+        split_off = ("test", "validate") if self.source else ()
+        return {name: getattr(self, name) for name in (*OF_WEIGHTS, *split_off)}
 
 
 def parsed(arguments: Sequence[str] | None) -> Config:

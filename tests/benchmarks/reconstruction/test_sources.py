@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.reconstruction.options import Config
 from benchmarks.reconstruction.runs import SKIRTS
 from benchmarks.reconstruction.tasks import TASKS
 from benchmarks.reconstruction.train import main
@@ -117,3 +119,10 @@ def test_another_test_source_leaves_the_training_set_as_it_is(tmp_path: Path) ->
     assert len(own.train) == 4
     assert own.train.keys == other.train.keys
     assert (len(own.test), len(other.test)) == (3, 2)
+
+
+def test_a_training_on_a_source_goes_on_with_the_same_garments() -> None:
+    """Other numbers of test garments would leave others to train on."""
+    of_source, generated = Config(source="folder", test=5, steps=1), Config(test=5, steps=1)
+    assert of_source.identity != replace(of_source, test=6).identity
+    assert generated.identity == replace(generated, test=6).identity
