@@ -15,7 +15,7 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 from trimesh.triangles import closest_point, points_to_barycentric
 
@@ -90,7 +90,7 @@ class DrapeJacobian:
     derivatives: Float[np.ndarray, "d v 3"]
     """Movement [cm] for a change by a parameter's whole range; divide by ``spans`` for centimetres per unit."""
     fitted: Sequence["Draped"]
-    """The drapes that were fitted, the first that of ``worn``."""
+    """The drapes to which the map is fitted; the first is ``drape``."""
 
 
 class Draped(NamedTuple):
@@ -280,15 +280,24 @@ def _interpolated(
 ) -> Float[np.ndarray, "n 3"]:
     flat = np.zeros((len(faces), 3, 3))
     flat[..., :2] = mesh.uv[mesh.corners[faces]]
-    _, near = cKDTree(flat[..., :2].mean(axis=1)).query(places, k=min(NEAR, len(faces)))
-    near = near.reshape(len(places), -1)
-    points = np.column_stack([places, np.zeros(len(places))])
-    closest = closest_point(flat[near.ravel()], np.repeat(points, near.shape[1], axis=0)).reshape(*near.shape, 3)
-    best = np.linalg.norm(closest - points[:, None], axis=2).argmin(axis=1)
-    row = np.arange(len(places))
-    face = near[row, best]
-    shares = points_to_barycentric(flat[face], closest[row, best])
+    _, face, shares = nearest_on(flat, np.column_stack([places, np.zeros(len(places))]))
     return np.einsum("nc,nci->ni", shares, vertices[mesh.faces[faces[face]]])
+
+
+def nearest_on(
+    triangles: Float[np.ndarray, "f 3 3"], points: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+    """The nearest place to each point, its triangle, and its barycentric coordinates.
+
+    Of the triangles, ``NEAR`` with the nearest centres are compared.
+    """
+    _, near = cKDTree(triangles.mean(axis=1)).query(points, k=min(NEAR, len(triangles)))
+    near = near.reshape(len(points), -1)
+    found = closest_point(triangles[near.ravel()], np.repeat(points, near.shape[1], axis=0)).reshape(*near.shape, 3)
+    best = np.linalg.norm(found - points[:, None], axis=2).argmin(axis=1)
+    row = np.arange(len(points))
+    face, places = near[row, best], found[row, best]
+    return places, face, points_to_barycentric(triangles[face], places)
 
 
 def _alike(one: Pattern, other: Pattern) -> bool:

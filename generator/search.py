@@ -17,13 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
-from trimesh.triangles import closest_point, points_to_barycentric
 
-from gcd_dataset.errors import DrapeError, PatternError
+from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape import drape_batch
 from gcd_dataset.generator.garments import GarmentDesign
 from gcd_dataset.generator.jacobian import (
-    NEAR,
     Draped,
     DrapeJacobian,
     Fitting,
@@ -31,6 +29,7 @@ from gcd_dataset.generator.jacobian import (
     choices_of,
     drape_jacobian,
     moved,
+    nearest_on,
     real_parameters,
 )
 from gcd_dataset.records import Body, Measurements, Outcome
@@ -40,7 +39,7 @@ SAMPLES = 1024  # points of the scan that are compared
 ROUNDS = ((2, 0.06), (1, 0.04), (1, 0.02), (1, 0.01))
 """Designs that a round refines, the nearest of different choices, and the change of their parameters [of a range]."""
 FINE = 0.01  # of a range: in rounds of such steps, the nearest neighbour may be the answer
-CLEARLY = 0.75  # of the distance of the likeliest choices: that of others that replace them
+CLEARLY = 0.75  # other choices replace the likeliest ones at this share of their distance
 PAIRS = 32  # pairs of drapes of a design in a round
 SHARES = (1.0, 0.5, 0.25)  # of the change that brings the linear map onto the scan: all are draped
 REACH = 2.0  # steps that a parameter may move in a round
@@ -160,7 +159,7 @@ class _Search:
                 design, fitting, names, step=step, pairs=max(self.pairs, len(names)), seed=seed, device=self.device,
                 workers=self.pool,
             )  # fmt: skip
-        except (DrapeError, PatternError):
+        except DrapeError:
             return [start]
         change = dict(zip(names, on_scan(found, self.scan, step).tolist(), strict=True))
         tried = [moved(design, {name: share * by for name, by in change.items()}) for share in SHARES]
@@ -196,7 +195,7 @@ def _of_each_choice(found: Iterable[Found], likeliest: str) -> list[Found]:
 def distance_to(scan: ScanPoints, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> float:
     """The mean distance of scan and drape [cm]."""
     some = scan.points[:SAMPLES]
-    closest, *_ = _closest(vertices[faces], some)
+    closest, *_ = nearest_on(vertices[faces], some)
     ways = [np.linalg.norm(closest - some, axis=1).mean()]
     if not scan.partial:
         ways.append(np.linalg.norm(_to_scan(scan, vertices)[0], axis=1).mean())
@@ -210,7 +209,7 @@ def on_scan(jacobian: DrapeJacobian, scan: ScanPoints, step: float) -> Float[np.
     change = np.zeros(len(derivatives))
     for _ in range(INNER):
         place = jacobian.positions + np.tensordot(change, derivatives, 1)
-        closest, face, shares = _closest(place[faces], some)
+        closest, face, shares = nearest_on(place[faces], some)
         normals = np.cross(place[faces[face, 1]] - place[faces[face, 0]], place[faces[face, 2]] - place[faces[face, 0]])
         residuals, ways = _directed(closest - some, normals)
         moves = np.einsum("dnci,nc->dni", derivatives[:, faces[face]], shares)
@@ -246,15 +245,3 @@ def _to_scan(scan: ScanPoints, places: Float[np.ndarray, "n 3"]) -> tuple[np.nda
     above = np.einsum("ni,ni->n", apart, normals)[:, None] * normals
     beside = np.linalg.norm(apart - above, axis=1) > PLANE * scan.spacing
     return np.where(beside[:, None], apart, above), near
-
-
-def _closest(
-    triangles: Float[np.ndarray, "f 3 3"], points: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """Nearest point, its triangle and its barycentric coordinates."""
-    _, near = cKDTree(triangles.mean(axis=1)).query(points, k=NEAR)
-    found = closest_point(triangles[near.ravel()], np.repeat(points, NEAR, axis=0)).reshape(*near.shape, 3)
-    best = np.linalg.norm(found - points[:, None], axis=2).argmin(axis=1)
-    row = np.arange(len(points))
-    face, place = near[row, best], found[row, best]
-    return place, face, points_to_barycentric(triangles[face], place)

@@ -44,10 +44,10 @@ def judge_of(task: ReconstructionTask, *, watching: bool = False) -> Judge:
     """The judge of a task; ``watching``: without scores that take long, to watch a training."""
     if task.name == "T4":
         return Vertices()
-    if task.name in ("T5", "T7"):
-        return (
-            Numbers(MEASURES, numbers_of, score_measures) if task.name == "T5" else Numbers(FIT, numbers_of, score_fit)
-        )
+    if task.name == "T5":
+        return Numbers(MEASURES, numbers_of, score_measures)
+    if task.name == "T7":
+        return Numbers(FIT, numbers_of, score_fit)
     return Drapes(crossings=not watching) if task.name == "T6" else Patterns(draped=bool(task.options.get("drape")))
 
 

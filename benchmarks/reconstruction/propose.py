@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="benchmarks.reconstruction.propose", description=main.__doc__)
     parser.add_argument("scan", nargs="+", type=Path, help="mesh or points of a garment [cm]")
     parser.add_argument("--count", type=int, default=16, help="designs for each scan (default: 16)")
-    parser.add_argument("--weights", type=Path, default=WEIGHTS, help="with a JSON of its name (default: T1's record)")
+    parser.add_argument("--weights", type=Path, default=WEIGHTS, help="with a JSON of its name (default: T1's)")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)

@@ -26,7 +26,7 @@ DESIGNS, MEASURES = "*_design_params.yaml", "*_measurements.yaml"
 def add_verbs(verbs: Any) -> None:
     """Add ``reconstruct``."""
     verb = add_verb(
-        verbs, "reconstruct", _reconstruct, "find designs whose drapes lie on scans; exit 1 if one is not found"
+        verbs, "reconstruct", _reconstruct, "find the pattern of each scan by draping; exit 1 if a scan has none"
     )
     verb.add_argument(
         "scan",
@@ -77,7 +77,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
     with process_pool(options.workers) if options.workers > 1 else nullcontext(1) as pool:
         for scan in tqdm(options.scan, unit="scan", disable=options.quiet):
             try:
-                row = _found(scan, options, wearer, pool)
+                row = _reconstruct_one(scan, options, wearer, pool)
                 apart = f"{row['mean_cm']:.2f} cm on average, 95 % within {row['p95_cm']:.2f} cm"
                 print(f"{scan.stem}: {apart}, {row['seconds']:.1f} s")
             except GcdError as error:
@@ -103,8 +103,8 @@ def _require_own_names(scans: Sequence[Path], out: Path) -> None:
             raise ConfigError(f"{scan}: lies in --out {out}, where files have its name: give another folder")
 
 
-def _found(scan: Path, options: argparse.Namespace, wearer: "Wearer", pool: Any) -> dict[str, Any]:
-    """Search a scan's design and write it; the row of the report. Raises ``GcdError``."""
+def _reconstruct_one(scan: Path, options: argparse.Namespace, wearer: "Wearer", pool: Any) -> dict[str, Any]:
+    """Find the design of a scan and write it; the row of the report. Raises ``GcdError``."""
     from gcd_dataset.generator.fitting import (
         Refusal,
         drape_patterns,

@@ -83,13 +83,13 @@ class VertexScore:
     panel_class: float
     """Share of the vertices whose class of panel is right."""
     seam_label: float
-    """Share of all vertices whose seam, or none, is right."""
+    """Share of all vertices with the right seam; off seams, none is right."""
     on_seam_label: float
     """The same among the vertices on seams."""
     seam_f1: float
     """F1 of being on any seam."""
     edge_label: float
-    """Share of the vertices whose edge label, or none, is right."""
+    """Share of the vertices with the right edge label; off labelled edges, none is right."""
     on_edge_label: float
     """The same among the vertices on labelled edges."""
 

@@ -66,7 +66,7 @@ def _sampled(row: int, part: int, bounds: list[list[tuple[float, float]]]) -> li
 
 
 class _Placing(Search):
-    """The search for the symmetry whose sewn edges lie closest."""
+    """Finds the symmetry with the least distance of sewn edges in space."""
 
     def __init__(self, graph: EdgeGraph, points: Float[np.ndarray, "e n 3"], sides: Int[np.ndarray, "s 2 3"]) -> None:
         partners = np.full(len(points), -1)

@@ -1,4 +1,4 @@
-"""Training on garments of one source, and testing on those of another."""
+"""Trainings on one source of garments, tested on another."""
 
 import json
 import shutil
