@@ -260,8 +260,8 @@ def test_a_reader_sees_either_the_old_or_the_new_version(hub: Hub, staged: Stage
 def test_errors_of_the_hub_are_reported(hub: Hub, staged: Staged, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*hf auth login"):
         upload(staged, "org/new-set", endpoint=hub.endpoint, token="hf_wrong")
-    hub.stop()
-    with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*refused.*HF_ENDPOINT"):
+    hub.stop()  # the system refuses a new connection, and resets one that is still open
+    with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*(refused|reset).*HF_ENDPOINT"):
         upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
     monkeypatch.setattr("huggingface_hub.__version__", "0.36.2")
     with pytest.raises(ConfigError, match=r"huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT only: set it"):
