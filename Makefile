@@ -36,6 +36,7 @@ demo: $(INSTALLED)
 	$(BIN)/gcd show demo/garments --index 0-7 --sheet demo/contact_sheet.png
 
 test: $(INSTALLED)
+	! git grep -nE '^(<<<<<<<|>>>>>>>) '
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
 	$(BIN)/mypy --num-workers auto
