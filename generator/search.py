@@ -1,18 +1,18 @@
-"""Search by draping: a design whose drape lies on a scan.
+"""Search by draping: a design whose drape lies on a scan, or in the silhouettes of pictures.
 
-Proposed designs are draped at once. The nearest to the scan are refined: ``drape_jacobian`` gives a linear map from
-their real parameters to their drape, which Gauss-Newton steps bring onto the scan, and the next map is made at the
+Proposed designs are draped at once. The nearest to the target are refined: ``drape_jacobian`` gives a linear map from
+their real parameters to their drape, which Gauss-Newton steps bring onto the target, and the next map is made at the
 nearest of these. Choices, such as the kind of a sleeve, stay those of the proposal. Patterns that differ by
 millimetres fold in different ways, and their drapes lie some millimetres apart: so the choices of the first proposal,
-the likeliest, give way to others only for a clearly nearer drape, and neighbours that happen to fold as the scan does
+the likeliest, give way to others only for a clearly nearer drape, and neighbours that happen to fold as the target does
 count in the last rounds alone, where they differ little.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -51,6 +51,20 @@ AT_ONCE = 8  # designs or drapes of a task of a worker
 
 Wearer = Callable[[bool], tuple[Body, Measurements]]
 """The body, with straight legs or legs apart, and its measures."""
+Mapped = Callable[[Callable[[Sequence[Any]], list[Any]], Sequence[Any]], list[Any]]
+"""A function of parts of a sequence, over the whole sequence, in the workers."""
+Residuals = tuple[Float[np.ndarray, " n"], Float[np.ndarray, "d n"], float]
+"""Distances [cm], their derivatives by the parameters, and their weight."""
+
+
+class Target(Protocol):
+    """What a drape is to be like."""
+
+    def distances(self, drapes: "Sequence[Draped]", mapped: Mapped) -> list[float]:
+        """How far each drape is from it."""
+
+    def change(self, jacobian: DrapeJacobian, step: float) -> Float[np.ndarray, " d"]:
+        """The change of the parameters, in shares of their ranges, that brings the linear map onto it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,16 +84,58 @@ class ScanPoints:
         apart, _ = tree.query(points[:, :3], k=4)
         return ScanPoints(points[:, :3], points[:, 3:], tree, float(np.median(apart[:, 1:])), partial)
 
+    def distances(self, drapes: Sequence[Draped], mapped: Mapped) -> list[float]:
+        """Mean distances of scan and drapes [cm], both ways unless the scan is a part."""
+        return mapped(self._means, [(each.drape.vertices, each.worn.job.box_mesh.faces) for each in drapes])
+
+    def _means(self, meshes: Sequence[tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]]) -> list[float]:
+        return [self._mean(*mesh) for mesh in meshes]
+
+    def _mean(self, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> float:
+        some = self.points[:SAMPLES]
+        closest, *_ = nearest_on(vertices[faces], some)
+        ways = [np.linalg.norm(closest - some, axis=1).mean()]
+        if not self.partial:
+            ways.append(np.linalg.norm(self._apart(vertices)[0], axis=1).mean())
+        return float(np.mean(ways))
+
+    def change(self, jacobian: DrapeJacobian, step: float) -> Float[np.ndarray, " d"]:
+        """The change of the parameters, in shares of their ranges, that brings the linear map onto the scan."""
+        faces, derivatives, some = jacobian.worn.job.box_mesh.faces, jacobian.derivatives, self.points[:SAMPLES]
+
+        def rows(change: Float[np.ndarray, " d"]) -> Iterator[Residuals]:
+            place = jacobian.positions + np.tensordot(change, derivatives, 1)
+            closest, face, shares = nearest_on(place[faces], some)
+            normals = np.cross(*(place[faces[face, k]] - place[faces[face, 0]] for k in (1, 2)))
+            residuals, ways = _directed(closest - some, normals)
+            moves = np.einsum("dnci,nc->dni", derivatives[:, faces[face]], shares)
+            yield residuals, np.einsum("dni,ni->dn", moves, ways), 1.0
+            if not self.partial:
+                apart, near = self._apart(place)
+                residuals, ways = _directed(apart, self.normals[near])
+                yield residuals, np.einsum("dni,ni->dn", derivatives, ways), len(some) / len(place)
+
+        return gauss_newton(rows, len(derivatives), step)
+
+    def _apart(self, places: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+        """From the surface to each place, and the scan's nearest point; the surface is a plane near its points."""
+        _, near = self.tree.query(places)
+        apart = places - self.points[near]
+        normals = self.normals[near]
+        above = np.einsum("ni,ni->n", apart, normals)[:, None] * normals
+        beside = np.linalg.norm(apart - above, axis=1) > PLANE * self.spacing
+        return np.where(beside[:, None], apart, above), near
+
 
 class Found(NamedTuple):
-    """A design, its drape, and the mean distance of scan and drape [cm], both ways unless the scan is a part."""
+    """A design, its drape, and how far that is from the target."""
 
     drape: Draped
     distance: float
 
 
 def search(
-    scan: ScanPoints,
+    target: Target,
     proposals: Iterable[GarmentDesign],
     wearer: Wearer,
     *,
@@ -90,7 +146,7 @@ def search(
     device: str = "auto",
     workers: int | Pool = 1,
 ) -> Found:
-    """The design whose drape is nearest to the scan: of the proposals, and of those that the rounds find near these.
+    """The design whose drape is nearest to the target: of the proposals, and of those that the rounds find near these.
 
     ``ranked``: the first proposal is the likeliest. ``rounds``: see ``ROUNDS``. ``pairs``: of drapes for each design of
     a round. ``resolution``: edges of the meshes [cm]. ``workers``: processes beside the device, or their pool. Raises
@@ -99,7 +155,7 @@ def search(
     designs = list(proposals)
     likeliest = choices_of(designs[0]) if designs and ranked else ""
     with nullcontext(workers) if isinstance(workers, Pool) or workers < 2 else process_pool(workers) as pool:
-        work = _Search(scan, wearer, pairs, resolution, device, pool)
+        work = _Search(target, wearer, pairs, resolution, device, pool)
         best = _of_each_choice(work.draped(designs), likeliest)
         if not best:
             raise DrapeError("none of the proposed designs can be drawn, meshed and draped on this body")
@@ -111,9 +167,9 @@ def search(
 
 @dataclass
 class _Search:
-    """Drapes designs, and compares them with the scan."""
+    """Drapes designs, and compares them with the target."""
 
-    scan: ScanPoints
+    target: Target
     wearer: Wearer
     pairs: int
     resolution: float
@@ -141,14 +197,13 @@ class _Search:
         return self.compared(Draped(*pair, drape) for pair, drape in zip(drawn, drapes, strict=True))
 
     def compared(self, drapes: Iterable[Draped]) -> list[Found]:
-        """The settled drapes with their distances from the scan."""
+        """The settled drapes with their distances from the target."""
         settled = [each for each in drapes if each.drape.outcome is Outcome.SETTLED]
-        meshes = [(each.drape.vertices, each.worn.job.box_mesh.faces) for each in settled]
-        apart = self._mapped(partial(_distances, self.scan), meshes)
+        apart = self.target.distances(settled, self._mapped)
         return [Found(*pair) for pair in zip(settled, apart, strict=True)]
 
     def refined(self, start: Found, step: float, seed: int) -> list[Found]:
-        """The start, near neighbours, and the designs that the linear map brings onto the scan."""
+        """The start, near neighbours, and the designs that the linear map brings onto the target."""
         design = start.drape.design
         fitting, choices = _fitting(self.fittings, design), choices_of(design)
         if choices not in self.names:
@@ -161,7 +216,7 @@ class _Search:
             )  # fmt: skip
         except DrapeError:
             return [start]
-        change = dict(zip(names, on_scan(found, self.scan, step).tolist(), strict=True))
+        change = dict(zip(names, self.target.change(found, step).tolist(), strict=True))
         tried = [moved(design, {name: share * by for name, by in change.items()}) for share in SHARES]
         neighbours = self.compared(found.fitted) if step <= FINE else []
         return [start, *neighbours, *self.draped(tried)]
@@ -179,10 +234,6 @@ def _worn(fittings: tuple[Fitting, Fitting], part: Sequence[GarmentDesign]) -> l
     return [_fitting(fittings, design).worn(design) for design in part]
 
 
-def _distances(scan: ScanPoints, part: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[float]:
-    return [distance_to(scan, *mesh) for mesh in part]
-
-
 def _of_each_choice(found: Iterable[Found], likeliest: str) -> list[Found]:
     """The nearest of each set of choices, in the order in which they may be the answer."""
     nearest: dict[str, Found] = {}
@@ -192,39 +243,19 @@ def _of_each_choice(found: Iterable[Found], likeliest: str) -> list[Found]:
     return sorted(nearest.values(), key=lambda each: each.distance * shares[choices_of(each.drape.design)])
 
 
-def distance_to(scan: ScanPoints, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> float:
-    """The mean distance of scan and drape [cm]."""
-    some = scan.points[:SAMPLES]
-    closest, *_ = nearest_on(vertices[faces], some)
-    ways = [np.linalg.norm(closest - some, axis=1).mean()]
-    if not scan.partial:
-        ways.append(np.linalg.norm(_to_scan(scan, vertices)[0], axis=1).mean())
-    return float(np.mean(ways))
-
-
-def on_scan(jacobian: DrapeJacobian, scan: ScanPoints, step: float) -> Float[np.ndarray, " d"]:
-    """The change of the parameters, in shares of their ranges, that brings the linear map onto the scan."""
-    faces, derivatives = jacobian.worn.job.box_mesh.faces, jacobian.derivatives
-    some = scan.points[:SAMPLES]
-    change = np.zeros(len(derivatives))
+def gauss_newton(
+    rows: Callable[[Float[np.ndarray, " d"]], Iterable[Residuals]], count: int, step: float
+) -> Float[np.ndarray, " d"]:
+    """The change of ``count`` parameters, at most ``REACH * step``, that makes the residuals small."""
+    change = np.zeros(count)
     for _ in range(INNER):
-        place = jacobian.positions + np.tensordot(change, derivatives, 1)
-        closest, face, shares = nearest_on(place[faces], some)
-        normals = np.cross(place[faces[face, 1]] - place[faces[face, 0]], place[faces[face, 2]] - place[faces[face, 0]])
-        residuals, ways = _directed(closest - some, normals)
-        moves = np.einsum("dnci,nc->dni", derivatives[:, faces[face]], shares)
-        rows = [(residuals, np.einsum("dni,ni->dn", moves, ways), 1.0)]
-        if not scan.partial:
-            apart, near = _to_scan(scan, place)
-            residuals, ways = _directed(apart, scan.normals[near])
-            rows.append((residuals, np.einsum("dni,ni->dn", derivatives, ways), len(some) / len(place)))
-        curvature, slope = np.zeros((len(change), len(change))), np.zeros(len(change))
-        for residuals, jac, share in rows:
+        curvature, slope = np.zeros((count, count)), np.zeros(count)
+        for residuals, jac, share in rows(change):
             weights = share / np.maximum(np.abs(residuals), SURE)
             curvature += (jac * weights) @ jac.T
             slope += (jac * weights) @ residuals
-        prior = PRIOR * np.trace(curvature) / len(change)
-        shift = np.linalg.solve(curvature + prior * np.eye(len(change)), -slope - prior * change)
+        prior = max(PRIOR * np.trace(curvature) / count, 1e-9)  # of parameters that move no outline
+        shift = np.linalg.solve(curvature + prior * np.eye(count), -slope - prior * change)
         change = np.clip(change + shift, -REACH * step, REACH * step)
     return change
 
@@ -235,13 +266,3 @@ def _directed(apart: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
     unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     ways = np.where((length < 0.05)[:, None], unit, apart / np.maximum(length, 1e-12)[:, None])
     return np.einsum("ni,ni->n", apart, ways), ways
-
-
-def _to_scan(scan: ScanPoints, places: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """From the scan's surface to each place, and the scan's nearest point; the surface is a plane near its points."""
-    _, near = scan.tree.query(places)
-    apart = places - scan.points[near]
-    normals = scan.normals[near]
-    above = np.einsum("ni,ni->n", apart, normals)[:, None] * normals
-    beside = np.linalg.norm(apart - above, axis=1) > PLANE * scan.spacing
-    return np.where(beside[:, None], apart, above), near

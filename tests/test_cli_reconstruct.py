@@ -18,6 +18,7 @@ from gcd_dataset.generator.garments.design import write_design
 from gcd_dataset.generator.quality import sample_surface
 from gcd_dataset.scoring.answers import AnswerReader
 from gcd_dataset.scoring.bodies import Wearers
+from tests.generator.test_silhouettes import cut_out
 from tests.test_cli import exit_code, one_line
 
 FAST = ["--resolution", "8", "--rounds", "0", "--device", "cpu", "--quiet"]
@@ -25,13 +26,16 @@ FAST = ["--resolution", "8", "--rounds", "0", "--device", "cpu", "--quiet"]
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A scan of a draped skirt, its design as proposal, and a copy of both with impossible measures."""
+    """A scan and pictures of a draped skirt, its design as proposal, and a copy of both with impossible measures."""
     folder, body = tmp_path_factory.mktemp("place"), build_body(neutral_shape())
     skirt = design_from_dict({"meta": {"bottom": "PencilSkirt"}})
     worn = Fitting(body, measure(body), resolution=8.0).worn(skirt)
     assert worn is not None
     [drape] = drape_batch([worn.job], device="cpu")
-    for name in ("skirt", "giant"):
+    cut_out(folder / "pictured", worn.job.box_mesh, drape.vertices, body)
+    cut_out(folder / "photographs", worn.job.box_mesh, drape.vertices, body)
+    (folder / "photographs" / "1.json").unlink()
+    for name in ("skirt", "pictured", "giant"):
         (folder / "proposed" / name).mkdir(parents=True)
         write_design(skirt, folder / "proposed" / name / "0_design_params.yaml")
         points = sample_surface(drape.vertices, worn.job.box_mesh.faces, 4096, np.random.default_rng(0))
@@ -42,17 +46,20 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_scan_that_fails_stops_no_other(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scans = [str(place / f"{name}.npy") for name in ("metres", "giant", "skirt")]
+    scans = [str(place / name) for name in ("metres.npy", "giant.npy", "photographs", "skirt.npy", "pictured")]
     out = tmp_path / "out"
     assert main(["reconstruct", *scans, "--proposals", str(place / "proposed"), "--out", str(out), *FAST]) == 1
     rows = json.loads((out / "report.json").read_text())["scans"]
     errors = capsys.readouterr().err.splitlines()
-    assert len(errors) == 2
+    assert len(errors) == 3
     assert "metres.npy: its largest extent is" in errors[0]
     assert "giant/a_measurements.yaml: height is 1000 cm" in errors[1]
-    assert ["error" in row for row in rows] == [True, True, False]
-    assert rows[2]["mean_cm"] < 0.5
-    assert AnswerReader().read(out).keys() == {"skirt"}
+    assert "photographs/1.json: missing: " in errors[2]
+    assert ["error" in row for row in rows] == [True, True, True, False, False]
+    assert rows[3]["mean_cm"] < 0.5
+    assert rows[4]["iou"] > 0.95
+    assert (out / "pictured_pictures.png").stat().st_size
+    assert AnswerReader().read(out).keys() == {"skirt", "pictured"}
     assert Wearers(out, "", {}).body_of("skirt") == str(out / "skirt.npy")  # not skirt.obj, the garment
 
 

@@ -213,6 +213,13 @@ class DesignDecoder(nn.Module):
         usual = self.mean.double().cpu().numpy()
         return [Answer(*pair, usual) for pair in zip(codes.cpu().numpy(), measures.double().cpu().numpy(), strict=True)]
 
+    @torch.no_grad()
+    def proposals(self, seen: Sequence[Float[Tensor, "1 t w"]], count: int, chance: torch.Generator) -> list["Answer"]:
+        """The likeliest answer for one garment, then others, their choices drawn with their chances."""
+        noise = -(-torch.rand((count, *self.options.shape[:2]), generator=chance).clamp(min=1e-9).log()).log()  # Gumbel
+        noise[0] = 0.0
+        return self.answers(*(tokens.expand(count, -1, -1) for tokens in seen), noise=noise.to(self.queries.device))
+
     def _table(self) -> "Table":
         return Table(**{name: getattr(self, f"table_{name}") for name in vars(_TABLE)})
 

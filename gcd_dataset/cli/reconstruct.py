@@ -1,4 +1,4 @@
-"""``gcd reconstruct``: the pattern of a scan, by draping."""
+"""``gcd reconstruct``: the pattern of a scan or of pictures, by draping."""
 
 import argparse
 import json
@@ -26,14 +26,15 @@ DESIGNS, MEASURES = "*_design_params.yaml", "*_measurements.yaml"
 def add_verbs(verbs: Any) -> None:
     """Add ``reconstruct``."""
     verb = add_verb(
-        verbs, "reconstruct", _reconstruct, "find the pattern of each scan by draping; exit 1 if a scan has none"
+        verbs, "reconstruct", _reconstruct, "find the pattern of scans and pictures by draping; exit 1 if one has none"
     )
     verb.add_argument(
         "scan",
         nargs="+",
         type=Path,
         metavar="SCAN",
-        help="mesh or points of a garment [cm], y up, facing z: see gcd score",
+        help="mesh or points of a garment [cm], y up, facing z: see gcd score; or a folder of pictures of one, cut "
+        "out, with cameras: docs/reconstruction.md",
     )
     verb.add_argument(
         "--proposals",
@@ -78,8 +79,10 @@ def _reconstruct(options: argparse.Namespace) -> int:
         for scan in tqdm(options.scan, unit="scan", disable=options.quiet):
             try:
                 row = _reconstruct_one(scan, options, wearer, pool)
-                apart = f"{row['mean_cm']:.2f} cm on average, 95 % within {row['p95_cm']:.2f} cm"
-                print(f"{scan.stem}: {apart}, {row['seconds']:.1f} s")
+                apart = (
+                    "{mean_cm:.2f} cm on average, 95 % within {p95_cm:.2f} cm" if "mean_cm" in row else "IoU {iou:.3f}"
+                )
+                print(f"{scan.stem}: {apart.format_map(row)}, {row['seconds']:.1f} s")
             except GcdError as error:
                 told = str(error) if str(error).startswith(str(scan)) else f"{scan}: {error}"
                 row = {"error": told}
@@ -105,6 +108,8 @@ def _require_own_names(scans: Sequence[Path], out: Path) -> None:
 
 def _reconstruct_one(scan: Path, options: argparse.Namespace, wearer: "Wearer", pool: Any) -> dict[str, Any]:
     """Find the design of a scan and write it; the row of the report. Raises ``GcdError``."""
+    from gcd_dataset.files import write_whole
+    from gcd_dataset.generator.drawing import png_bytes
     from gcd_dataset.generator.fitting import (
         Refusal,
         drape_patterns,
@@ -115,12 +120,18 @@ def _reconstruct_one(scan: Path, options: argparse.Namespace, wearer: "Wearer", 
     )
     from gcd_dataset.generator.garments.design import write_design
     from gcd_dataset.generator.search import ROUNDS, ScanPoints, search
+    from gcd_dataset.generator.silhouettes import Silhouettes
     from gcd_dataset.scoring.distances import Cloud, MeshShape, mean_and_p95, read_points
 
-    begun, points = time.perf_counter(), read_points(scan, POINTS)
+    begun = time.perf_counter()
+    target = (
+        Silhouettes.read(scan, device=options.device)
+        if scan.is_dir()
+        else ScanPoints.of(read_points(scan, POINTS), partial=options.partial)
+    )
     designs, wearer, shape = _proposed(scan, options, wearer)
     found = search(
-        ScanPoints.of(points, partial=options.partial), designs, wearer, ranked=options.proposals is not None,
+        target, designs, wearer, ranked=options.proposals is not None,
         rounds=ROUNDS[: options.rounds], resolution=options.resolution, device=options.device, workers=pool,
     )  # fmt: skip
     seconds, design, name = time.perf_counter() - begun, found.drape.design, garment_name(scan)
@@ -132,11 +143,17 @@ def _reconstruct_one(scan: Path, options: argparse.Namespace, wearer: "Wearer", 
     if isinstance(fitting, Refusal):
         raise DrapeError(f"{scan}: {fitting.reason}")
     write_fitting(fitting, options.out, device=options.device)
-    surface = MeshShape.of(fitting.drape.vertices, fitting.box_mesh.faces)
-    mean, p95 = mean_and_p95(Cloud.of(points[:, :3]), surface, both_ways=not options.partial)
+    if isinstance(target, Silhouettes):
+        seen = fitting.box_mesh, fitting.drape.vertices, fitting.body
+        write_whole(options.out / f"{name}_pictures.png", png_bytes(target.beside(*seen)))
+        apart = {"iou": round(float(target.overlaps(*seen).mean()), 3)}
+    else:
+        surface = MeshShape.of(fitting.drape.vertices, fitting.box_mesh.faces)
+        mean, p95 = mean_and_p95(Cloud.of(target.points), surface, both_ways=not options.partial)
+        apart = {"mean_cm": round(mean, 3), "p95_cm": round(p95, 3)}
     return {
-        "mean_cm": round(mean, 3), "p95_cm": round(p95, 3), "outcome": fitting.drape.outcome.name,
-        "remarks": [str(reject) for reject in rejects], "seconds": round(seconds, 1),
+        **apart, "outcome": fitting.drape.outcome.name, "remarks": [str(reject) for reject in rejects],
+        "seconds": round(seconds, 1),
     }  # fmt: skip
 
 

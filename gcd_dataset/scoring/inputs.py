@@ -2,7 +2,8 @@
 
 A task folder holds
 
-- ``inputs/NAME…``: what a model is given;
+- ``inputs/NAME…``: what a model is given; of T2 also ``cut_outs/NAME/``, the same pictures with the garment cut out and
+  their cameras, for ``gcd reconstruct``: no input of the task;
 - ``truth/NAME_specification.json`` and ``bodies/NAME.npy`` with ``NAME.meta.json``: what its answers are scored with,
   and ``truth/NAME.npz`` for answers that are no patterns;
 - ``task.json``: the task, its hashes, and the kind of device that draped the garments.
@@ -40,6 +41,8 @@ from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
 from gcd_dataset.tensors import EDGE_LABELS, encode_pattern
 
 if TYPE_CHECKING:
+    from PIL import Image
+
     from gcd_dataset.loaders.base import Item, Transform
     from gcd_dataset.loaders.scenes import BodyOf
 
@@ -101,10 +104,15 @@ def _save(points: np.ndarray, stem: Path) -> None:
 
 
 def _pictures(item: "Item", stem: Path) -> None:
+    """The pictures; and besides the inputs, in ``cut_outs``, what ``gcd reconstruct`` compares drapes with."""
     from PIL import Image
 
-    for number, pixels in enumerate(item["views"].numpy()):
+    from gcd_dataset.generator.silhouettes import write_cut_outs
+
+    views, on_garment, *cameras = (item[name].numpy() for name in ("views", "panel_id_map", "camera_k", "camera_rt"))
+    for number, pixels in enumerate(views):
         Image.fromarray(pixels).save(stem.with_name(f"{stem.name}_{number}.png"))
+    write_cut_outs(stem.parents[1] / "cut_outs" / stem.name, views, on_garment >= 0, *cameras)
 
 
 def _joined_panels(item: "Item", stem: Path) -> None:
@@ -378,25 +386,34 @@ def lay_out_pictures(photographs: Path, out: Path) -> list[str]:
     picture is kept, in a white square; fewer than ``PICTURES`` are repeated. Raises ``ConfigError`` for a folder
     without pictures, or one that cannot be read.
     """
-    from PIL import Image, ImageOps
-
     found = defaultdict[str, list[Path]](list)
-    for path in sorted(photographs.glob("*")):
-        if path.suffix.lower() in PHOTOGRAPHS:
-            found[re.sub(rf"_[0-{PICTURES - 1}]$", "", path.stem)].append(path)
-    if not found:
-        raise ConfigError(f"{photographs}: no pictures: give a folder of {', '.join(PHOTOGRAPHS)} files")
+    for path in photographs_in(photographs):
+        found[re.sub(rf"_[0-{PICTURES - 1}]$", "", path.stem)].append(path)
     inputs = make_folder(out / "inputs")
     for name, paths in found.items():
         for number, path in zip(range(PICTURES), cycle(paths), strict=False):
-            try:
-                with Image.open(path) as image:
-                    upright = ImageOps.exif_transpose(image).convert("RGB")
-            except (OSError, Image.DecompressionBombError) as error:
-                raise ConfigError(f"{path}: cannot be read ({error}): give another picture") from error
-            square = ImageOps.pad(upright, (PICTURE_SIZE, PICTURE_SIZE), color="white")
-            square.save(inputs / f"{name}_{number}.png")
+            square_picture(path).save(inputs / f"{name}_{number}.png")
     return list(found)
+
+
+def photographs_in(folder: Path) -> list[Path]:
+    """The pictures of a folder, by name. Raises ``ConfigError`` if it has none."""
+    found = [path for path in sorted(folder.glob("*")) if path.suffix.lower() in PHOTOGRAPHS]
+    if not found:
+        raise ConfigError(f"{folder}: no pictures: give a folder of {', '.join(PHOTOGRAPHS)} files")
+    return found
+
+
+def square_picture(path: Path) -> "Image.Image":
+    """The whole picture in a white square of ``PICTURE_SIZE`` pixels. Raises ``ConfigError``."""
+    from PIL import Image, ImageOps
+
+    try:
+        with Image.open(path) as image:
+            upright = ImageOps.exif_transpose(image).convert("RGB")
+    except (OSError, Image.DecompressionBombError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error}): give another picture") from error
+    return ImageOps.pad(upright, (PICTURE_SIZE, PICTURE_SIZE), color="white")
 
 
 def _write_json(path: Path, tree: Any) -> None:

@@ -28,6 +28,19 @@ class Camera(Record):
     shift: tuple[float, float] = (0.0, 0.0)
     """Offset of the principal point from the picture's centre, right and down, as multiples of its width: a crop."""
 
+    @staticmethod
+    def of(intrinsics: Float[np.ndarray, "3 3"], extrinsics: Float[np.ndarray, "3 4"], size: int) -> "Camera":
+        """The camera of a picture of ``size`` pixels. Raises ``ConfigError`` for another kind of camera."""
+        focal, rotation = float(intrinsics[0, 0]), extrinsics[:, :3]
+        (x, y), pinhole = intrinsics[:2, 2], np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+        off = np.abs(intrinsics - [[0.0, 0.0, x], [0.0, 0.0, y], [0.0, 0.0, 1.0]] - focal * pinhole).max()
+        if focal <= 0.0 or off > 0.01 * focal:
+            raise ConfigError("k is not [[f, 0, x], [0, f, y], [0, 0, 1]] in pixels: rectify the picture")
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0.0:
+            raise ConfigError("rt does not begin with a rotation: give [R | t], world to camera, y down, z forward")
+        right, down = ((at + 0.5) / size - 0.5 for at in (float(x), float(y)))
+        return Camera(rotation, -rotation.T @ extrinsics[:, 3], focal / size, (right, down))
+
     def intrinsics(self, size: int) -> Float[np.ndarray, "3 3"]:
         """K for a picture of ``size`` pixels; pixel centres have whole coordinates."""
         middle = 0.5 * (size - 1)

@@ -1,5 +1,6 @@
 """Search by draping: steps of parameters on a linear map of the drape."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +13,9 @@ from gcd_dataset.generator.drape import drape_batch
 from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.jacobian import moved
 from gcd_dataset.generator.quality import sample_surface
-from gcd_dataset.generator.search import ScanPoints, on_scan, search
+from gcd_dataset.generator.search import ScanPoints, Target, search
+from gcd_dataset.generator.silhouettes import Silhouettes
+from tests.generator.test_silhouettes import cut_out
 
 SIDE = 41  # vertices along each side of a sheet of 80 cm
 
@@ -43,13 +46,14 @@ def test_parameters_are_found_on_a_linear_map(partial: bool, known: int) -> None
     if partial:
         rows = rows[points[rows, 0] < 40]
     scan = ScanPoints.of(np.concatenate([points, normals], axis=1)[rows], partial=partial)
-    assert on_scan(jacobian, scan, step=0.1)[:known] == pytest.approx(
+    assert scan.change(jacobian, step=0.1)[:known] == pytest.approx(
         [0.1, 0.1][:known], abs=0.025
     )  # the prior holds back
 
 
-def test_the_length_of_a_skirt_is_found_from_its_drape() -> None:
-    """One of two proposals is another kind of skirt, one is too long."""
+@pytest.mark.parametrize("pictured", [False, True])
+def test_the_length_of_a_skirt_is_found_from_its_drape(pictured: bool, tmp_path: Path) -> None:
+    """From points of it, or its silhouettes in two pictures. One of two proposals is another skirt, one is too long."""
     body = build_body(neutral_shape())
     fitting = Fitting(body, measure(body), resolution=6.0)
     skirt = design_from_dict({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"length": 0.5}})
@@ -57,12 +61,16 @@ def test_the_length_of_a_skirt_is_found_from_its_drape() -> None:
     assert worn is not None
     [drape] = drape_batch([worn.job], device="cpu")
     points = sample_surface(drape.vertices, worn.job.box_mesh.faces, 4096, np.random.default_rng(0))
+    target: Target = ScanPoints.of(points)
+    if pictured:
+        cut_out(tmp_path, worn.job.box_mesh, drape.vertices, body)
+        target = Silhouettes.read(tmp_path, device="cpu")
     proposals = [design_from_dict({"meta": {"bottom": "SkirtCircle"}}), moved(skirt, {"pencil-skirt.length": 0.1})]
     options: Any = {"pairs": 8, "resolution": 6.0, "device": "cpu"}
     apart = {}
     for count in (0, 2):
         rounds = ((2, 0.05), (1, 0.03))[:count]
-        found = search(ScanPoints.of(points), proposals, lambda _: (body, fitting.size), rounds=rounds, **options)
+        found = search(target, proposals, lambda _: (body, fitting.size), rounds=rounds, **options)
         apart[count] = abs(found.drape.design.pencil_skirt.length - 0.5)
     assert apart[0] > 0.05
     assert apart[2] < 0.3 * apart[0]

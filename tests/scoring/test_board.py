@@ -4,11 +4,16 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from gcd_dataset.cli import main
+from gcd_dataset.generator.render import look_at
+from gcd_dataset.generator.silhouettes import Silhouettes
 from gcd_dataset.scoring.board import read_card, tables
+from gcd_dataset.scoring.inputs import TASKS
 
 CARD = 'name = "net"\ngarments = 4000\nminutes = 8\nweights = 1000000\nhardware = "one GPU"\n'
 
@@ -166,6 +171,23 @@ def test_photographs_are_laid_out_as_pictures_of_t2(tmp_path: Path, capsys: pyte
     assert main([*command[:-1], str(tmp_path / "none")]) == 2
     assert "none: no pictures: give a folder of .jpg" in capsys.readouterr().err
     assert main(["bench", "inputs", "T1", str(out), "--pictures", str(photographs)]) == 2
+
+
+def test_pictures_of_t2_lie_beside_their_cut_outs(tmp_path: Path) -> None:
+    """The garment, in the left half of grey pictures, and the cameras."""
+    pictures = np.full((4, 128, 128, 3), 90, np.uint8)
+    panel = np.where(np.arange(128) < 64, 2, -1) * np.ones((4, 128, 1), int)
+    cameras = [look_at(np.array([0.0, 90.0, away]), np.array([0.0, 90.0, 0.0]), focal=2.0) for away in (1, 2, 3, 4)]
+    item: Any = {"views": pictures, "panel_id_map": panel}
+    item |= {"camera_k": np.stack([camera.intrinsics(128) for camera in cameras])}
+    item |= {"camera_rt": np.stack([camera.extrinsics() for camera in cameras])}
+    (tmp_path / "inputs").mkdir()
+    TASKS["T2"].write({name: torch.from_numpy(array) for name, array in item.items()}, tmp_path / "inputs" / "coat")
+    assert len(list((tmp_path / "inputs").glob("coat_?.png"))) == 4
+    found = Silhouettes.read(tmp_path / "cut_outs" / "coat")
+    assert (found.pictures == 90).all()
+    assert np.array_equal(found.masks, np.arange(256) < np.full((4, 256, 1), 128))
+    assert np.allclose([camera.eye[2] for camera in found.cameras], [1, 2, 3, 4])
 
 
 def test_a_task_that_is_unknown_or_unfinished(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

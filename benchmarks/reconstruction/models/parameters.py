@@ -220,12 +220,8 @@ class ParameterNet(Learner[Designs, Pattern]):
 
     @torch.no_grad()
     def proposals(self, points: Float[Tensor, "1 n 6"], count: int, chance: torch.Generator) -> list[Answer]:
-        """The likeliest answer for a garment's points, as ``Designs`` has them, then others, their choices drawn."""
-        shape = count, *(self.decoder.options.shape[:2])
-        noise = -(-torch.rand(shape, generator=chance).clamp(min=1e-9).log()).log()  # Gumbel: draws of the softmax
-        noise[0] = 0.0
-        tokens = [part.expand(count, -1, -1) for part in self._tokens(points)]
-        return self.decoder.answers(*tokens, noise=noise.to(points.device))
+        """``DesignDecoder.proposals`` for points as ``Designs`` has them."""
+        return self.decoder.proposals(self._tokens(points), count, chance)
 
 
 def label_losses(said: Float[Tensor, "b t o"], labels: Float[Tensor, "b t m 3"]) -> dict[str, Tensor]:

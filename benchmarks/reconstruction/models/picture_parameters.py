@@ -110,6 +110,11 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
     def _said(self, batch: PictureDesigns) -> list[Answer]:
         return self.decoder.answers(self.tokens(batch.pictures))
 
+    @torch.no_grad()
+    def proposals(self, pictures: UInt8[Tensor, "1 n h w 3"], count: int, chance: torch.Generator) -> list[Answer]:
+        """``DesignDecoder.proposals`` for ``views`` pictures."""
+        return self.decoder.proposals([self.tokens(pictures)], count, chance)
+
 
 def encoded(garments: GarmentSet) -> PictureDesigns:
     """Pictures and targets of garments with the fields ``design``, ``pictures`` and ``shown``, on a CPU."""

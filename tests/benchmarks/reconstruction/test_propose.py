@@ -1,11 +1,15 @@
 """What the kept weights propose for a scan, and what ``gcd reconstruct`` makes of it."""
 
+import hashlib
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from PIL import Image
 
+from benchmarks.reconstruction.models import picture_parameters
 from benchmarks.reconstruction.propose import WEIGHTS, main, network
 from gcd_dataset.cli import main as gcd
 from gcd_dataset.errors import ConfigError
@@ -15,6 +19,7 @@ from gcd_dataset.generator.drape import drape_batch
 from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.quality import sample_surface
 from gcd_dataset.spec import read_pattern
+from tests.benchmarks.reconstruction.toys import small
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +57,23 @@ def test_a_sparse_scan_has_proposals(scan: Path, tmp_path: Path) -> None:
     """Fewer points than the network makes regions of."""
     np.save(tmp_path / "sparse.npy", np.load(scan)[:200])
     assert main([str(tmp_path / "sparse.npy"), "--count", "1", "--out", str(tmp_path / "out"), "--device", "cpu"]) == 0
+
+
+def test_designs_are_proposed_for_photographs_without_cameras(tmp_path: Path) -> None:
+    """By weights of a network that sees pictures; a folder without any costs the other nothing."""
+    net, weights = small("picture_parameters"), tmp_path / "T2.pt"
+    torch.save(net.state_dict(), weights)
+    sizes = picture_parameters.SMALL
+    card = {"model": "picture_parameters", "sizes": sizes, "sha256": hashlib.sha256(weights.read_bytes()).hexdigest()}
+    weights.with_suffix(".json").write_text(json.dumps(card))
+    for name in ("none", "coat"):
+        (tmp_path / name).mkdir()
+    Image.new("RGB", (300, 200)).save(tmp_path / "coat" / "IMG_1.jpg")
+    folders, out = [str(tmp_path / name) for name in ("none", "coat")], tmp_path / "out"
+    assert main([*folders, "--weights", str(weights), "--count", "2", "--out", str(out), "--device", "cpu"]) == 1
+    assert len([read_design(path) for path in (out / "coat").glob("*_design_params.yaml")]) == 2
+    assert (out / "coat" / "coat_measurements.yaml").is_file()
+    assert not (out / "none").exists()
 
 
 def test_other_weights_than_described_are_refused(tmp_path: Path) -> None:
