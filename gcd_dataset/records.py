@@ -695,7 +695,7 @@ class Layer:
     crossings: int
     """Number of edges of either garment that cross a triangle of the other."""
     covered: int
-    """Number of vertices of the inner garment that have the outer one before or behind them, along the skin's normal."""
+    """Number of vertices of the inner garment with the outer one before or behind them, along the skin's normal."""
     wrong_order: float
     """Share of the covered vertices that have the outer garment between them and the skin; 0 where none is covered."""
 

@@ -3,15 +3,17 @@
 import contextlib
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Sample
+from gcd_dataset.records import Layer, NamedFabric, Outfit, Sample, WornGarment
 from gcd_dataset.shards import ShardWriter, encode_sample
+from gcd_dataset.shards.layout import garments_layout
 from gcd_dataset.shards.tar import END, tar_entry
 
 RECIPE = {"fake": True}
@@ -29,6 +31,35 @@ def fill(folder: Path, indices: Iterable[int], *, seed: int = 0) -> Path:
 
 def open_writer(folder: Path, *, seed: int = 0, split: str = "train") -> ShardWriter:
     return ShardWriter(folder, split=split, seed=seed, recipe=RECIPE, shard_size=SHARD_SIZE)
+
+
+def fake_outfit(index: int, count: int) -> Sample:
+    """A skirt under ``count`` - 1 others, all of different sizes; the skirt alone for 1."""
+    inner = fake_sample(0, index)
+    skirts = [inner, *(fake_sample(1, 10 * index + number) for number in range(1, count))]
+    garments = tuple(
+        WornGarment(
+            skirt.pattern,
+            skirt.design,
+            skirt.box_mesh,
+            skirt.drape,
+            NamedFabric("denim", {"density": 0.4}) if number else inner.fabric,
+            tucked=number == 0,
+            closed=number != 1,
+        )
+        for number, skirt in enumerate(skirts)
+    )
+    layers = tuple(Layer(i, o, 7 * i + o, 20 + o, 0.25 * i) for o in range(count) for i in range(o))
+    return inner if count == 1 else replace(inner, outfit=Outfit(garments, layers))
+
+
+def fill_outfits(folder: Path, counts: Sequence[int] = (1, 2, 3, 2)) -> Path:
+    """Write outfits of so many garments to a new folder."""
+    layout = garments_layout(garments=max(counts))
+    with ShardWriter(folder, seed=0, recipe=RECIPE, shard_size=SHARD_SIZE, layout=layout) as writer:
+        for index, count in enumerate(counts):
+            writer.write(fake_outfit(index, count))
+    return folder
 
 
 @contextlib.contextmanager

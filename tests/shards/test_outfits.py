@@ -1,0 +1,182 @@
+"""Outfits in shards: garments worn over each other on one body."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import datasets
+import numpy as np
+import pytest
+import torch
+import webdataset as wds
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gcd_dataset import decode
+from gcd_dataset.errors import ShardError
+from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.loaders.hdf5 import Hdf5Garments
+from gcd_dataset.records import Layer, Outfit, Sample, WornGarment
+from gcd_dataset.shards import FIELDS, MEMBERS, ShardReader, decode_fields, decode_sample, encode_sample
+from gcd_dataset.shards.hdf5 import write_hdf5
+from gcd_dataset.shards.layout import garments_layout, of_garment
+from tests.shards import stranger
+from tests.shards.folders import fake_outfit, fill_outfits
+from tests.shards.test_codec import form
+from tests.shards.test_hdf5 import assert_same
+from tests.shards.test_reader import flip
+
+COUNTS = (1, 2, 3, 2)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return fill_outfits(tmp_path_factory.mktemp("outfits"), COUNTS)
+
+
+def test_a_single_garment_keeps_its_bytes_and_members() -> None:
+    assert tuple(encode_sample(fake_sample(0, 0))) == MEMBERS
+    assert not {"outfit", "layers"} & json.loads(encode_sample(fake_sample(0, 0))["meta.json"]).keys()
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    index=st.integers(0, 99),
+    count=st.integers(1, 4),
+    more=st.integers(0, 2),
+    stage=st.sampled_from(["drape", "mesh", "pattern"]),
+    wrong=st.floats(0.0, 1.0),
+)
+def test_an_outfit_comes_back_whole(index: int, count: int, more: int, stage: str, wrong: float) -> None:
+    sample = at_stage(fake_outfit(index, count), stage)
+    if sample.outfit is not None:
+        layers = tuple(replace(layer, wrong_order=wrong) for layer in sample.outfit.layers)
+        sample = replace(sample, outfit=replace(sample.outfit, layers=layers))
+    members = encode_sample(sample, garments=count + more)
+    assert tuple(members) == garments_layout(garments=count + more, sides=stage == "drape").members
+    once = decode_sample(members)
+    assert encode_sample(once, garments=count + more) == members
+    if count == 1:
+        assert once.outfit is None
+        return
+    assert once.outfit is not None and sample.outfit is not None
+    assert once.outfit.layers == sample.outfit.layers
+    for read, given_ in zip(once.outfit.garments, sample.outfit.garments, strict=True):
+        for entry in ("tucked", "closed", "fabric", "design", "pattern"):
+            assert getattr(read, entry) == getattr(given_, entry)
+        assert (read.box_mesh is None, read.drape is None) == (given_.box_mesh is None, given_.drape is None)
+        if read.drape is not None and given_.drape is not None:
+            assert np.abs(read.drape.vertices - given_.drape.vertices).max() < 1e-3
+
+
+def at_stage(sample: Sample, stage: str) -> Sample:
+    """The sample, made up to this stage."""
+    lacking: dict[str, Any] = {"drape": {}, "mesh": {"drape": None}, "pattern": {"drape": None, "box_mesh": None}}[
+        stage
+    ]
+    outfit = sample.outfit and Outfit(
+        tuple(replace(garment, **lacking) for garment in sample.outfit.garments), sample.outfit.layers
+    )
+    pictures: dict[str, Any] = {} if stage == "drape" else {"front": None, "back": None}
+    return replace(sample, outfit=outfit, **lacking, **pictures)
+
+
+def test_every_sample_of_a_set_has_the_members_and_types_of_its_largest_outfit(folder: Path) -> None:
+    reader = ShardReader(folder)
+    assert reader.layout.members == garments_layout(garments=3).members
+    assert [len(o.garments) if (o := reader.sample(i).outfit) else 1 for i in range(len(reader))] == [*COUNTS]
+    metas = [json.loads(bytes(reader.read(i, ["meta.json"])["meta.json"])) for i in range(len(reader))]
+    assert [len(meta["outfit"]) for meta in metas] == [*COUNTS]
+    for meta in metas:
+        del meta["crc32"]
+    assert all(form(meta) == form(metas[0]) for meta in metas)
+
+
+def test_items_hold_each_garment_and_no_rows_of_absent_ones(folder: Path, tmp_path: Path) -> None:
+    garments = GarmentDataset(folder, cache_dir=tmp_path)
+    for index, count in enumerate(COUNTS):
+        outfit = fake_outfit(index, count).outfit
+        item = dict[str, Any](garments[index])
+        assert item["verts"].shape == (len(fake_sample(0, index).drape.vertices), 3)  # type: ignore[union-attr]
+        assert len(item["meta"]["layers"]) == count * (count - 1) // 2
+        for number in (1, 2):
+            own = of_garment(number, item)
+            if number >= count or outfit is None:
+                assert {len(value) for value in own.values() if isinstance(value, torch.Tensor)} == {0}
+                assert (own["design"], own["spec"]["pattern"]["panels"]) == ({}, {})
+                continue
+            worn, drape = outfit.garments[number], outfit.garments[number].drape
+            assert worn.box_mesh is not None and drape is not None
+            assert np.array_equal(own["faces"], worn.box_mesh.faces)
+            assert np.allclose(own["verts"], drape.vertices, atol=1e-3)
+            assert np.allclose(own["box"], worn.box_mesh.vertices, atol=1e-3)
+            assert own["panels"].shape == (2, 14)
+            entry = item["meta"]["outfit"][number]
+            assert (entry["tucked"], entry["closed"], entry["fabric"]["name"]) == (False, number != 1, "denim")
+    chosen = GarmentDataset(folder, fields=["g2_box", "verts"], cache_dir=tmp_path)
+    columns = chosen.__getitems__(range(len(COUNTS)))  # from mapped columns
+    assert_same(columns, list(chosen))
+    assert [len(item["g2_box"]) > 0 for item in columns] == [count > 2 for count in COUNTS]
+
+
+def test_readers_of_single_garments_go_on(folder: Path, tmp_path: Path) -> None:
+    """With fields of the first garment, a set of outfits is a set of single garments."""
+    single: list[dict[str, Any]] = [*map(dict, GarmentDataset(folder, fields=FIELDS, cache_dir=tmp_path))]
+    for index in range(len(COUNTS)):
+        expected = decode_fields(encode_sample(fake_sample(0, index)), ["verts", "faces", "panels", "box", "spec"])
+        for name, value in expected.items():
+            found = single[index][name]
+            assert found == value if name == "spec" else np.allclose(found, value), name
+    [(_, members), *_] = stranger.samples(str(folder / "train-00000.tar"))
+    theirs = stranger.arrays({name: data for name, data in members.items() if not name.startswith("g")})
+    assert theirs.keys() == {field for field, member in FIELDS.items() if member.endswith(".z")}
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # webdataset leaves files open
+def test_webdataset_and_datasets_read_all_garments(folder: Path, tmp_path: Path) -> None:
+    tar, ours = str(folder / "train-00000.tar"), ShardReader(folder)
+    names = {name for name in garments_layout(garments=3).members if not name.endswith(".jpg")}
+    for index, item in enumerate(wds.WebDataset(tar, shardshuffle=False).map(decode)):
+        expected = decode_fields(ours.read(index, names))
+        assert item.keys() == expected.keys() | {"__key__"}
+        assert all(np.array_equal(item[name], value) for name, value in expected.items() if hasattr(value, "shape"))
+    for members in wds.WebDataset(tar, shardshuffle=False).decode(decode):
+        assert members["g1.verts.z"].keys() == {"g1_verts"}
+    rows = datasets.load_dataset("webdataset", data_files=tar, split="train", streaming=True)
+    counts = [len(item["g2_verts"]) > 0 for item in rows.map(decode, remove_columns=rows.column_names)]
+    assert counts == [count > 2 for count in COUNTS]
+
+
+def test_an_hdf5_file_holds_all_garments(folder: Path, tmp_path: Path) -> None:
+    list(write_hdf5(ShardReader(folder), tmp_path / "train.h5"))
+    one = Hdf5Garments(tmp_path / "train.h5")
+    assert_same(one, GarmentDataset(folder, cache_dir=tmp_path))
+    assert one.sample(2) == GarmentDataset(folder).sample(2)
+
+
+def test_a_damaged_member_of_a_further_garment_is_named(tmp_path: Path) -> None:
+    fill_outfits(tmp_path / "set", (2,) * 6)
+    flip(tmp_path / "set", 5, "g1.mesh.z")
+    with pytest.raises(ShardError, match=r"train-00001.tar: sample gcd_000000005, member g1\.mesh\.z: bytes differ"):
+        ShardReader(tmp_path / "set").sample(5)
+    members = encode_sample(fake_outfit(0, 2))
+    for field, member in (("g1_verts", "g1.verts.z"), ("g1_spec", "g1.spec.txt"), ("g1_box", "g1.pattern.z")):
+        with pytest.raises(ShardError, match=f"^member {member}: "):
+            decode_fields(members | {member: b"{"}, [field])
+    with pytest.raises(ShardError, match="its members contradict each other"):
+        decode_sample({name: data for name, data in members.items() if not name.startswith("g1.")})
+
+
+def test_outfits_that_the_format_cannot_hold_are_refused() -> None:
+    sample, other = fake_outfit(0, 2), fake_outfit(1, 2)
+    assert sample.outfit is not None and other.outfit is not None
+    first: WornGarment = sample.outfit.garments[0]
+    for outfit, message in (
+        (other.outfit, "the first garment of its outfit differs"),
+        (replace(sample.outfit, garments=(first,)), "an outfit of 1 garments: give 2 to 8"),
+        (replace(sample.outfit, layers=(Layer(0, 2, 0, 0, 0.0),)), "garment 2 over 0, in an outfit of 2"),
+    ):
+        with pytest.raises(ShardError, match=f"sample gcd_000000000 cannot be stored: {message}"):
+            encode_sample(replace(sample, outfit=outfit))
