@@ -35,11 +35,13 @@ __all__ = [
     "FitLabel",
     "Grade",
     "InnerLine",
+    "Layer",
     "LineRole",
     "Maps",
     "Measurements",
     "NamedFabric",
     "Outcome",
+    "Outfit",
     "Panel",
     "PanelRole",
     "Pattern",
@@ -51,6 +53,7 @@ __all__ = [
     "Seam",
     "StoredView",
     "Strain",
+    "WornGarment",
     "role_of",
 ]
 

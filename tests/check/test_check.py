@@ -550,7 +550,10 @@ def test_faults_of_further_garments_and_of_layers_are_found(tmp_path: Path) -> N
         faulty.append(replace(sample, outfit=replace(sample.outfit, layers=layers)))
     report = examine(written(tmp_path, [*faulty, fake_sample(0, 6)], garments=3))
     found = {finding.check.name: (dict(finding.details), finding.examples) for finding in report.harmful}
-    beyond, missing = "meta[layers] holds a share above 1, or counts more vertices than there are", "meta[layers] has not one row"
+    beyond, missing = (
+        "meta[layers] holds a share above 1, or counts more vertices than there are",
+        "meta[layers] has not one row",
+    )
     assert found.pop("nan") == ({"garment 1 of the outfit: verts": 1}, ("gcd_000000000",))
     assert found.pop("units") == ({"garment 1 of the outfit: vertices in metres": 1}, ("gcd_000000001",))
     details, examples = found.pop("references")

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
@@ -33,10 +34,10 @@ def open_writer(folder: Path, *, seed: int = 0, split: str = "train") -> ShardWr
     return ShardWriter(folder, split=split, seed=seed, recipe=RECIPE, shard_size=SHARD_SIZE)
 
 
-def fake_outfit(index: int, count: int) -> Sample:
-    """A skirt under ``count`` - 1 others, all of different sizes; the skirt alone for 1."""
-    inner = fake_sample(0, index)
-    skirts = [inner, *(fake_sample(1, 10 * index + number) for number in range(1, count))]
+def fake_outfit(index: int, count: int, **changes: Any) -> Sample:
+    """A skirt under ``count`` - 1 others, all of different sizes; the skirt alone for 1. ``changes``: to each."""
+    skirts = [fake_sample(0, index), *(fake_sample(1, 10 * index + number) for number in range(1, count))]
+    inner, *_ = skirts = [replace(skirt, **changes) for skirt in skirts]
     garments = tuple(
         WornGarment(
             skirt.pattern,
@@ -49,16 +50,17 @@ def fake_outfit(index: int, count: int) -> Sample:
         )
         for number, skirt in enumerate(skirts)
     )
-    layers = tuple(Layer(i, o, 7 * i + o, 20 + o, 0.25 * i) for o in range(count) for i in range(o))
+    pairs = [(i, o) for o in range(count) for i in range(o) if inner.drape is not None]
+    layers = tuple(Layer(i, o, 7 * i + o, 20 + o, 0.25 * i) for i, o in pairs)
     return inner if count == 1 else replace(inner, outfit=Outfit(garments, layers))
 
 
-def fill_outfits(folder: Path, counts: Sequence[int] = (1, 2, 3, 2)) -> Path:
+def fill_outfits(folder: Path, counts: Sequence[int], **changes: Any) -> Path:
     """Write outfits of so many garments to a new folder."""
     layout = garments_layout(garments=max(counts))
     with ShardWriter(folder, seed=0, recipe=RECIPE, shard_size=SHARD_SIZE, layout=layout) as writer:
         for index, count in enumerate(counts):
-            writer.write(fake_outfit(index, count))
+            writer.write(fake_outfit(index, count, **changes))
     return folder
 
 
