@@ -35,6 +35,7 @@ from gcd_dataset.loaders.base import (
 )
 from gcd_dataset.loaders.batches import RAGGED, pack_items
 from gcd_dataset.loaders.worker import shared_number
+from gcd_dataset.outfits import worn_panel
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
 from gcd_dataset.shards.layout import of_garment, split_worn
@@ -130,7 +131,7 @@ class OutfitCloth:
         changed |= {name: joined.owners(field).int() for name, field in owners.items() if field in joined}
         if "outfit" in item.get("meta", {}):
             worn = enumerate(garment["panel_names"] for garment in item["meta"]["outfit"])
-            names = [f"g{number}_{name}" if number else name for number, own in worn for name in own]
+            names = [worn_panel(number, name) for number, own in worn for name in own]
             changed["meta"] = {**item["meta"], "panel_names": names}
         return {**garments[0], **changed}
 

@@ -9,18 +9,25 @@ import pytest
 import torch
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.body import build_body, neutral_shape
+from gcd_dataset.generator.render import draw_appearance, scene_of_sample
+from gcd_dataset.generator.render.materials import looks_of
 from gcd_dataset.loaders import (
     FakeGarments,
     GarmentDataset,
     GarmentLoader,
     OutfitCloth,
+    Scan,
+    Sketch,
+    Views,
     Yaw,
     collate_packed,
     collate_padded,
 )
+from gcd_dataset.outfits import joined
 from gcd_dataset.shards.layout import of_garment
 from gcd_dataset.tensors import EdgeColumn, LineColumn
-from tests.shards.folders import fill_outfits
+from tests.shards.folders import fake_outfit, fill_outfits
 
 COUNTS = (1, 2, 3, 2)
 GEOMETRY = ("verts", "faces", "uv", "corners", "panels", "panel_id", "edges", "stitches", "lines", "seams")
@@ -117,3 +124,29 @@ def test_fields_of_a_stage_that_was_not_made_are_named(tmp_path: Path) -> None:
     assert "g1_verts" not in ds.fields and "g1_box" in ds.fields
     with pytest.raises(ConfigError, match=r"no field g1_verts: these garments end with stage mesh, and verts come"):
         GarmentDataset(tmp_path / "set", fields=["g1_verts"])
+
+
+def test_pictures_show_all_garments_each_in_its_cloth(folder: Path) -> None:
+    """Of the item alone as in a batch of any kind; the panels of both garments are in the map."""
+    body = build_body(neutral_shape())
+    items = items_of(folder, fields=None)[1:2]
+    views = Views(n=1, size=48, seed=0, device="cpu", maps=("panel_id",), bodies=lambda name: body)
+    item = dict[str, Any](views(items[0]))
+    assert set(item["panel_id_map"].unique().tolist()) - {-1} == {0, 2}  # the fronts
+    for collate in (collate_packed, collate_padded):
+        [batch] = views.batches([collate(items)])
+        assert torch.equal(batch["views"][0], item["views"])
+    whole = joined(fake_outfit(1, 2))
+    assert whole.box_mesh is not None and whole.drape is not None
+    scene = scene_of_sample(fake_outfit(1, 2), body)
+    assert np.array_equal(scene.vertices, whole.drape.vertices)
+    looks = [
+        draw_appearance(np.random.default_rng(k), scene, fabric=("silk", "silk", "denim", "denim")) for k in range(9)
+    ]
+    for look in looks:
+        inner, outer = ({look.cloths[k].look for k in look.cloth_of_panel[panels]} for panels in ([0, 1], [2, 3]))
+        assert inner <= {*looks_of("silk")} and outer <= {*looks_of("denim")}
+    with pytest.raises(ConfigError, match=r"an outfit of 2 garments, and Views needs g1_spec, .*: give the data set"):
+        views({name: value for name, value in items[0].items() if not name.startswith("g1_")})
+    for other in (Scan(points=64, size=32, bodies=lambda name: body), Sketch(size=32, bodies=lambda name: body)):
+        assert other(items[0]).keys() > items[0].keys()

@@ -35,9 +35,9 @@ def open_writer(folder: Path, *, seed: int = 0, split: str = "train") -> ShardWr
 
 
 def fake_outfit(index: int, count: int, **changes: Any) -> Sample:
-    """A skirt under ``count`` - 1 others, all of different sizes; the skirt alone for 1. ``changes``: to each."""
+    """A skirt and ``count`` - 1 others, each 15 cm lower than the one before; ``changes``: to each."""
     skirts = [fake_sample(0, index), *(fake_sample(1, 10 * index + number) for number in range(1, count))]
-    inner, *_ = skirts = [replace(skirt, **changes) for skirt in skirts]
+    inner, *_ = skirts = [replace(_lowered(skirt, 15.0 * number), **changes) for number, skirt in enumerate(skirts)]
     garments = tuple(
         WornGarment(
             skirt.pattern,
@@ -53,6 +53,11 @@ def fake_outfit(index: int, count: int, **changes: Any) -> Sample:
     pairs = [(i, o) for o in range(count) for i in range(o) if inner.drape is not None]
     layers = tuple(Layer(i, o, 7 * i + o, 20 + o, 0.25 * i) for i, o in pairs)
     return inner if count == 1 else replace(inner, outfit=Outfit(garments, layers))
+
+
+def _lowered(sample: Sample, height: float) -> Sample:
+    assert sample.drape is not None
+    return replace(sample, drape=replace(sample.drape, vertices=sample.drape.vertices - [0.0, height, 0.0]))
 
 
 def fill_outfits(folder: Path, counts: Sequence[int], **changes: Any) -> Path:
