@@ -231,7 +231,7 @@ class _Examination:
             if isinstance(item, GcdError):
                 self.tally.add(checks.UNREADABLE, split.name, split.key(position), [str(item)])
                 continue
-            garment = CheckedGarment.of(item)
+            garment = CheckedGarment.joined(item)
             census.add(position, garment)
             self.wearers.add(str(garment.meta.get("body") or ""))
             self._count(split, position, item_faults(item))
@@ -334,7 +334,7 @@ class _Examination:
     def _tensor(self, split: str, row: int) -> Any:
         garments = self._split(split).garments
         assert garments is not None
-        return CheckedGarment.of(garments[self.census.splits[split].position[row]]).tensor
+        return CheckedGarment.joined(garments[self.census.splits[split].position[row]]).tensor
 
 
 def _positions(count: int, most: int | None) -> list[int]:

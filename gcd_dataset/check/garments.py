@@ -14,11 +14,13 @@ from gcd_dataset.check import checks
 from gcd_dataset.check.checks import Check
 from gcd_dataset.errors import PatternError, SpecError
 from gcd_dataset.faults import Rule, Severity, check_pattern
+from gcd_dataset.loaders import OutfitCloth
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import MISFITS, Grade, Outcome, Pattern
 from gcd_dataset.shards.layout import of_garment, split_worn, worn_name
 from gcd_dataset.spec import pattern_from_spec
 from gcd_dataset.tensors import (
+    COLUMNS,
     NO_LINES,
     CurveKind,
     EdgeColumn,
@@ -68,6 +70,16 @@ class CheckedGarment:
         arrays = {name: np.asarray(own[name]) for name in ARRAYS if own.get(name) is not None}
         rest = {name: own.get(name) for name in ("spec", "design", "measures")}
         return cls(item["meta"]["key"], item["meta"]["outfit"][number] if number else item["meta"], arrays, **rest)
+
+    @classmethod
+    def joined(cls, item: Mapping[str, Any]) -> "CheckedGarment":
+        """As ``of``, with the patterns and the designs of all garments of an outfit, to compare outfits."""
+        numbers = range(1, len(item["meta"].get("outfit", ())))
+        if not numbers or not {"panels", "edges", "stitches", "lines"} <= item.keys():
+            return cls.of(item)
+        pattern = {name: rows for name, rows in item.items() if name == "meta" or split_worn(name)[1] in COLUMNS}
+        designs = {name: item[name] for number in numbers if (name := worn_name(number, "design")) in item}
+        return cls.of({**item, **OutfitCloth()(pattern), "design": {**item.get("design", {}), **designs}})
 
     def has(self, *names: str) -> bool:
         """Whether the garment has rows of all these arrays."""

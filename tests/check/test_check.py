@@ -561,6 +561,19 @@ def test_faults_of_further_garments_and_of_layers_are_found(tmp_path: Path) -> N
     assert (examples, found) == (("gcd_000000003", "gcd_000000004", "gcd_000000005"), {})
 
 
+def test_outfits_that_share_one_garment_are_no_duplicates(tmp_path: Path) -> None:
+    """Four skirts, each also under another one; the last outfit is there twice."""
+    outfits = [fake_outfit(index % 4, 1 + index // 4) for index in range(8)]
+    numbered = [*outfits, outfits[-1]]
+    samples = [
+        replace(sample, key=f"gcd_{index:09d}", provenance=replace(sample.provenance, index=index))
+        for index, sample in enumerate(numbered)
+    ]
+    report = examine(written(tmp_path, samples, garments=2))
+    [finding] = [finding for finding in report.findings if finding.check is checks.DUPLICATES]
+    assert finding.examples == ("gcd_000000008 as gcd_000000007",)
+
+
 def test_patterns_alone_have_few_fields_and_no_fault(tmp_path: Path) -> None:
     flat = [replace(s, box_mesh=None, drape=None, points=None, front=None, back=None) for s in good()[:TRAIN]]
     report = examine(written(tmp_path, flat))
