@@ -1,6 +1,8 @@
 """Outfits in shards: garments worn over each other on one body."""
 
+import io
 import json
+import tarfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,10 @@ import webdataset as wds
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gcd_dataset import decode
-from gcd_dataset.errors import ShardError
+from gcd_dataset import decode, export
+from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.exports.published import export_published
+from gcd_dataset.hub.publish import stage
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.loaders.hdf5 import Hdf5Garments
@@ -154,6 +158,19 @@ def test_an_hdf5_file_holds_all_garments(folder: Path, tmp_path: Path) -> None:
     one = Hdf5Garments(tmp_path / "train.h5")
     assert_same(one, GarmentDataset(folder, cache_dir=tmp_path))
     assert one.sample(2) == GarmentDataset(folder).sample(2)
+
+
+def test_other_forms_of_a_set_hold_all_garments_or_refuse_them(folder: Path, tmp_path: Path) -> None:
+    export(folder, tmp_path / "plain", "plain")
+    with tarfile.open(tmp_path / "plain" / "train-00000.tar") as tar:
+        [third] = [tar.extractfile(name).read() for name in tar.getnames() if name == "gcd_000000002.g2_verts.npy"]  # type: ignore[union-attr]
+    expected = GarmentDataset(folder, fields=["g2_verts"])[2]["g2_verts"]  # type: ignore[typeddict-item]
+    assert np.array_equal(np.load(io.BytesIO(third)), expected)
+    with pytest.raises(ConfigError, match="the layout of GarmentCodeData has no outfits: give --plain"):
+        list(export_published({"train": ShardReader(folder)}, tmp_path / "published"))
+    made = stage(folder, "org/outfits", tmp_path / "up", license="CC-BY-4.0")
+    card = (made.folder / "README.md").read_text()
+    assert "| g2_verts | `g2.verts.z` | of garment 2 of an outfit: vertex positions at rest on the body [cm] |" in card
 
 
 def test_a_damaged_member_of_a_further_garment_is_named(tmp_path: Path) -> None:
