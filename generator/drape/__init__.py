@@ -13,6 +13,7 @@ from gcd_dataset.generator.drape.fabrics import (
     draw_fabric,
     fabric_named,
 )
+from gcd_dataset.generator.drape.layers import layers_of
 from gcd_dataset.generator.drape.loading import kernels_compiled, log_drape_time, seconds_per_garment, seconds_to_drape
 from gcd_dataset.generator.drape.maps import maps_of
 
@@ -32,6 +33,7 @@ __all__ = [
     "every_device",
     "fabric_named",
     "kernels_compiled",
+    "layers_of",
     "load_kernels",
     "log_drape_time",
     "maps_of",

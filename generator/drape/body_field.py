@@ -250,6 +250,11 @@ def closed_skin(body: Body) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "
     return known.skin.points(body.vertices), known.triangles
 
 
+def skin_parts(body: Body) -> UInt8[np.ndarray, " g"]:
+    """``BodyPart`` of each face of ``closed_skin``."""
+    return _skin(_digests(body)[0], body).skin.parts
+
+
 def _edges_without_lids(skin: VisibleSkin) -> Int[np.ndarray, "e 2"]:
     """Edges between vertices of the body; each lid adds one vertex, numbered after the body's."""
     sides, _ = half_edges_of(skin.faces)

@@ -21,6 +21,7 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb, roll_round_limb
+from gcd_dataset.generator.dressing.worn import on_side
 from gcd_dataset.generator.mesh.rows import distinct
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, PanelRole
 from gcd_dataset.spec import is_trouser_leg
@@ -70,12 +71,6 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     if trousers.any():
         _put_on_legs(mesh, trousers, body, placed)
     return placed
-
-
-def on_side(mesh: BoxMesh, panels: Bool[np.ndarray, " p"], side: float) -> Bool[np.ndarray, " f"]:
-    """The faces of those panels that lie to the left (1) or to the right (-1); a panel may reach past the middle."""
-    x = np.bincount(mesh.panel_id, mesh.vertices[mesh.faces, 0].sum(axis=1), minlength=len(panels))
-    return (panels & (side * x > 0.0))[mesh.panel_id]
 
 
 def _keep_beside_trunk(
