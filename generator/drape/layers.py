@@ -1,7 +1,6 @@
 """How the garments of an outfit lie over each other."""
 
 from collections.abc import Sequence
-from itertools import combinations
 
 import numpy as np
 import warp as wp
@@ -43,8 +42,8 @@ def layers_of(garments: Sequence[WornCloth], body: Body, *, device: str = "auto"
         skins = _limbs(body, device)
         meshes = [_mesh(cloth.vertices, cloth.faces, device) for cloth in garments]
         limbs = wp.array([mesh.id for mesh in skins], dtype=wp.uint64, device=device)
-        counts = []
-        for outer, inner in ((outer, inner) for outer in range(len(garments)) for inner in range(outer)):
+        pairs, counts = [(inner, outer) for outer in range(len(garments)) for inner in range(outer)], []
+        for inner, outer in pairs:
             crossings = wp.zeros(1, dtype=int, device=device)
             for one, other in ((inner, outer), (outer, inner)):
                 edges = wp.array(mesh_edges(garments[one].faces).ends.astype(np.int32), dtype=wp.vec2i, device=device)
@@ -53,9 +52,9 @@ def layers_of(garments: Sequence[WornCloth], body: Body, *, device: str = "auto"
             at, of = meshes[inner].points, wp.array(table[garments[inner].parts], dtype=int, device=device)
             covered, wrong = (wp.zeros(len(at), dtype=int, device=device) for _ in range(2))
             wp.launch(kernels.order_layers, len(at), [limbs, of, at, meshes[outer].id], [covered, wrong], device=device)
-            counts.append((inner, outer, crossings, covered, wrong))
+            counts.append((crossings, covered, wrong))
     layers = []
-    for inner, outer, crossings, covered, wrong in counts:
+    for (inner, outer), (crossings, covered, wrong) in zip(pairs, counts, strict=True):
         hidden = int(to_host(covered).sum())
         share = float(to_host(wrong).sum() / max(hidden, 1))
         layers.append(Layer(inner, outer, int(to_host(crossings)[0]), hidden, share))

@@ -8,6 +8,7 @@ wp.set_module_options({"enable_backward": False})
 
 FURTHEST = wp.constant(1.0e3)  # cm
 OUTWARD = wp.constant(30.0)  # cm: an outer garment further away than this does not cover a vertex
+DEEP = 1.0  # cm: cloth is less deep under the skin; a point further behind the skin is beyond the limb's end
 TOUCHING = 1.0e-4  # cm: below this distance the normal of the skin replaces the direction from the skin
 ARMS = wp.constant(2)  # the skins of both arms, the first rows of ``skins``, and then that of trunk and legs
 
@@ -35,7 +36,7 @@ def from_skin(skin: wp.uint64, p: wp.vec3) -> wp.vec4:
     away = p - wp.mesh_eval_position(skin, near.face, near.u, near.v)
     outward = wp.mesh_eval_face_normal(skin, near.face)
     distance = wp.length(away)
-    if distance < TOUCHING or wp.dot(away, outward) < 0.0:
+    if distance < TOUCHING or (distance < DEEP and wp.dot(away, outward) < 0.0):
         return wp.vec4(outward[0], outward[1], outward[2], 0.0)
     return wp.vec4(away[0] / distance, away[1] / distance, away[2] / distance, distance)
 
@@ -46,9 +47,9 @@ def nearest_limb(skins: wp.array(dtype=wp.uint64), p: wp.vec3) -> int:
     nearest = int(0)
     least = float(FURTHEST)
     for limb in range(ARMS + 1):
-        distance = from_skin(skins[limb], p)[3]
-        if distance < least:
-            least = distance
+        near = wp.mesh_query_point_no_sign(skins[limb], p, least)
+        if near.result:
+            least = wp.length(p - wp.mesh_eval_position(skins[limb], near.face, near.u, near.v))
             nearest = limb
     return nearest
 
