@@ -14,6 +14,7 @@ from gcd_dataset.check import checks
 from gcd_dataset.check.checks import Check
 from gcd_dataset.errors import PatternError, SpecError
 from gcd_dataset.faults import Rule, Severity, check_pattern
+from gcd_dataset.generator.quality import WRONG_ORDER
 from gcd_dataset.loaders import OutfitCloth
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import MISFITS, Grade, Outcome, Pattern
@@ -146,6 +147,9 @@ def _layer_faults(item: Mapping[str, Any]) -> Iterator[str]:
     if not settled <= {*pairs} <= draped or len({*pairs}) < len(pairs):
         yield "meta[layers] has not one row for each two draped garments"
         return
+    is_clean = item["meta"]["grade"] == Grade.CLEAN.value
+    if is_clean and any(row["crossings"] or row["wrong_order"] > WRONG_ORDER for row in rows):
+        yield "meta[grade] is clean, and garments cross or lie in wrong order"
     for row in rows:
         verts = item.get(worn_name(row["inner"], "verts"))
         if not 0.0 <= row["wrong_order"] <= 1.0 or (verts is not None and not 0 <= row["covered"] <= len(verts)):

@@ -22,7 +22,7 @@ from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making.run import index
-from gcd_dataset.records import BodyShape, Closure, Layer, Outcome, Pattern, Sample
+from gcd_dataset.records import BodyShape, Closure, Grade, Layer, Outcome, Pattern, Sample
 from gcd_dataset.release.bodies import FOLDER, KINDS
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
 from gcd_dataset.shards.access import Place
@@ -535,7 +535,7 @@ def test_an_hdf5_file_is_examined_as_its_shards(tmp_path: Path) -> None:
 
 def test_faults_of_further_garments_and_of_layers_are_found(tmp_path: Path) -> None:
     """In a set of outfits each with one fault; the last has none."""
-    outfits, faulty = [fake_outfit(index, 2) for index in range(6)], list[Sample]()
+    outfits, faulty = [fake_outfit(index, 2) for index in range(7)], list[Sample]()
     for edit in (not_a_number, in_metres, None):
         sample = outfits[len(faulty)]
         assert sample.outfit is not None
@@ -548,7 +548,8 @@ def test_faults_of_further_garments_and_of_layers_are_found(tmp_path: Path) -> N
         sample = outfits[len(faulty)]
         assert sample.outfit is not None
         faulty.append(replace(sample, outfit=replace(sample.outfit, layers=layers)))
-    report = examine(written(tmp_path, [*faulty, fake_sample(0, 6)], garments=3))
+    faulty.append(replace(outfits[6], grade=Grade.CLEAN))
+    report = examine(written(tmp_path, [*faulty, fake_sample(0, 7)], garments=3))
     found = {finding.check.name: (dict(finding.details), finding.examples) for finding in report.harmful}
     beyond, missing = (
         "meta[layers] holds a share above 1, or counts more vertices than there are",
@@ -557,8 +558,10 @@ def test_faults_of_further_garments_and_of_layers_are_found(tmp_path: Path) -> N
     assert found.pop("nan") == ({"garment 1 of the outfit: verts": 1}, ("gcd_000000000",))
     assert found.pop("units") == ({"garment 1 of the outfit: vertices in metres": 1}, ("gcd_000000001",))
     details, examples = found.pop("references")
-    assert (details.pop(beyond), {text[: len(missing)]: n for text, n in details.items()}) == (2, {missing: 1})
-    assert (examples, found) == (("gcd_000000003", "gcd_000000004", "gcd_000000005"), {})
+    clean = "meta[grade] is clean, and garments cross or lie in wrong order"
+    assert (details.pop(beyond), details.pop(clean)) == (2, 1)
+    assert {text[: len(missing)]: count for text, count in details.items()} == {missing: 1}
+    assert (examples, found) == (tuple(f"gcd_{index:09d}" for index in range(3, 7)), {})
 
 
 def test_outfits_that_share_one_garment_are_no_duplicates(tmp_path: Path) -> None:

@@ -22,8 +22,9 @@ from gcd_dataset.hub.publish import stage
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.loaders.hdf5 import Hdf5Garments
-from gcd_dataset.records import Layer, Outfit, Sample, WornGarment
-from gcd_dataset.shards import FIELDS, MEMBERS, ShardReader, decode_fields, decode_sample, encode_sample
+from gcd_dataset.making.garments import encoded
+from gcd_dataset.records import Layer, Outcome, Outfit, Sample, WornGarment
+from gcd_dataset.shards import FIELDS, MEMBERS, ShardReader, ShardWriter, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import garments_layout, of_garment
 from tests.shards import stranger
@@ -171,6 +172,21 @@ def test_other_forms_of_a_set_hold_all_garments_or_refuse_them(folder: Path, tmp
     made = stage(folder, "org/outfits", tmp_path / "up", license="CC-BY-4.0")
     card = (made.folder / "README.md").read_text()
     assert "| g2_verts | `g2.verts.z` | of garment 2 of an outfit: vertex positions at rest on the body [cm] |" in card
+
+
+def test_an_outfit_is_settled_if_all_its_garments_are(tmp_path: Path) -> None:
+    """Also in a data set being made: an outfit with a failed drape goes to the failed ones."""
+    sample = fake_outfit(0, 2)
+    assert sample.outfit is not None and sample.outfit.garments[1].drape is not None
+    inner, outer = sample.outfit.garments
+    slid = replace(outer, drape=replace(sample.outfit.garments[1].drape, outcome=Outcome.SLID_OFF))
+    loose = replace(sample, outfit=replace(sample.outfit, garments=(inner, slid)))
+    for made, settled in ((sample, True), (loose, False)):
+        layout = garments_layout(garments=2)
+        with ShardWriter(tmp_path / str(settled), seed=0, recipe={}, layout=layout) as writer:
+            writer.write(made)
+        assert ShardReader(tmp_path / str(settled)).index.settled.tolist() == [settled]
+        assert encoded(1, False, made).failed is not settled
 
 
 def test_a_damaged_member_of_a_further_garment_is_named(tmp_path: Path) -> None:
