@@ -8,7 +8,7 @@ import numpy as np
 
 from gcd_dataset.records import BoxMesh, Drape, EdgeRef, Layer, Outcome, Pattern, Sample
 
-__all__ = ["apart", "joined", "joined_pattern", "worn_panel"]
+__all__ = ["apart", "joined", "joined_drape", "joined_mesh", "joined_pattern", "worn_panel"]
 
 
 def apart(sample: Sample) -> list[Sample]:
@@ -36,8 +36,10 @@ def joined(sample: Sample) -> Sample:
     return replace(
         sample,
         pattern=joined_pattern([garment.pattern for garment in garments]),
-        box_mesh=_mesh(meshes, [garment.pattern for garment in garments]) if len(meshes) == len(garments) else None,
-        drape=_drape(drapes, sample.outfit.layers) if len(drapes) == len(garments) else None,
+        box_mesh=joined_mesh(meshes, [len(g.pattern.seams) for g in garments])
+        if len(meshes) == len(garments)
+        else None,
+        drape=joined_drape(drapes, sample.outfit.layers) if len(drapes) == len(garments) else None,
         maps=None,
         outfit=None,
     )
@@ -71,11 +73,11 @@ def _ref(number: int, ref: EdgeRef) -> EdgeRef:
     return replace(ref, panel=worn_panel(number, ref.panel))
 
 
-def _mesh(meshes: Sequence[BoxMesh], patterns: Sequence[Pattern]) -> BoxMesh:
-    """The meshes of garments one after the other; vertices of seams are no longer the first."""
+def joined_mesh(meshes: Sequence[BoxMesh], seam_counts: Sequence[int]) -> BoxMesh:
+    """The meshes of garments, with these numbers of seams, one after the other; vertices of seams are not the first."""
     vertices = _starts(len(mesh.vertices) for mesh in meshes)
     rows, panels = _starts(len(mesh.uv) for mesh in meshes), _starts(len(mesh.panel_names) for mesh in meshes)
-    seams = _starts(len(pattern.seams) for pattern in patterns)
+    seams = _starts(seam_counts)
     labels: dict[str, np.ndarray] = {}
     for mesh, start in zip(meshes, vertices, strict=True):
         for label, ids in mesh.labels.items():
@@ -99,7 +101,8 @@ def _starts(counts: Iterable[int]) -> list[int]:
     return list(accumulate(counts, initial=0))[:-1]
 
 
-def _drape(drapes: Sequence[Drape], layers: Sequence[Layer]) -> Drape:
+def joined_drape(drapes: Sequence[Drape], layers: Sequence[Layer]) -> Drape:
+    """The drapes of garments as one drape."""
     return replace(
         drapes[0],
         vertices=np.concatenate([drape.vertices for drape in drapes]),

@@ -143,19 +143,19 @@ def make_garments(
 
         log_drape_time(len(indices), config.device, config.resolution)
     processes = workers_for(config, len(indices)) if workers is None else workers
-    finished = partial(encoded, config.wearers, keeps_all)
+    finished = partial(encoded, config, keeps_all)
     return produce(seed, indices, config, workers=processes, finished=finished, **options)
 
 
-def encoded(wearers: int, keeps_all: bool, sample: Sample) -> Made:
+def encoded(config: MakeConfig, keeps_all: bool, sample: Sample) -> Made:
     """A sample, encoded for its shard. Raises ``ShardError`` where the format cannot hold it."""
     made, drape = sample.provenance, joined(sample).drape
     outcome = None if drape is None else drape.outcome
     fits = {None, Outcome.SETTLED} | (MISFITS if sample.fit else frozenset())
     failed = outcome not in fits and not keeps_all
-    rejects = tuple(map(str, made.turned_down)) if made.index % wearers == 0 else ()  # once for each design
+    rejects = tuple(map(str, made.turned_down)) if made.index % config.wearers == 0 else ()  # once for each design
     name = None if outcome is None else outcome.name
-    return Made(made.index, encode_sample(sample), "", failed, rejects, name)
+    return Made(made.index, encode_sample(sample, garments=config.most_garments), "", failed, rejects, name)
 
 
 def workers_for(config: MakeConfig, count: int) -> int:

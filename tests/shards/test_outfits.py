@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from gcd_dataset import decode, export
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.exports.published import export_published
+from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.hub.publish import stage
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
@@ -186,7 +187,7 @@ def test_an_outfit_is_settled_if_all_its_garments_are(tmp_path: Path) -> None:
         with ShardWriter(tmp_path / str(settled), seed=0, recipe={}, layout=layout) as writer:
             writer.write(made)
         assert ShardReader(tmp_path / str(settled)).index.settled.tolist() == [settled]
-        assert encoded(1, False, made).failed is not settled
+        assert encoded(MakeConfig(), False, made).failed is not settled
 
 
 def test_a_damaged_member_of_a_further_garment_is_named(tmp_path: Path) -> None:
