@@ -125,8 +125,9 @@ def item_faults(item: Mapping[str, Any]) -> Iterator[Fault]:
     meta = item["meta"]
     if "outfit" not in meta:
         return
-    count, panels = len(meta["outfit"]), [name for name in item if split_worn(name)[1] == "panels"]
-    if any((len(item[name]) > 0) != (split_worn(name)[0] < count) for name in panels):
+    count = len(meta["outfit"])
+    held = {split_worn(name)[0]: len(item[name]) > 0 for name in item if split_worn(name)[1] == "panels"}
+    if any(rows != (number < count) for number, rows in held.items()) or 1 < len(held) < count:
         yield checks.REFERENCES, "meta[outfit] and the arrays have different garments"
         return
     for number in range(1, count):

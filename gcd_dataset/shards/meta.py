@@ -169,7 +169,8 @@ def read_meta(data: Bytes) -> dict[str, Any]:
         raise ShardError(f"of schema {found(meta.get('schema'))}, but this reader knows {SCHEMA}: update gcd_dataset")
     _require_seal(data)
     forms = PERSON if "name" in meta else GARMENT
-    for name in forms:
+    worn = ("outfit", "layers")
+    for name in (*forms, *(worn if any(name in meta for name in worn) else ())):
         if name not in meta:
             raise ShardError(f"{name} is missing")
     for name, form in {**forms, **SOMETIMES}.items():

@@ -121,6 +121,8 @@ class DrapeJob:
     start: Float[np.ndarray, "v 3"] | None = None
     """Start positions by ``dressing.sewing_start`` [cm], of ``coarse`` if given, otherwise of ``box_mesh``; None: the
     drape computes them."""
+    tucked_below: float = -np.inf
+    """Height below which the cloth is tucked into another garment, and stays near the skin [cm]."""
     under: tuple[WornCloth, ...] = ()
     """The garments on the body under this one, from the skin outwards: this one drapes over them, and they stay as they
     are. Its crossings with them count as crossings with the body."""

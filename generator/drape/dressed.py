@@ -49,7 +49,7 @@ def _grown(field: BodyField, points: Float[np.ndarray, "v 3"]) -> BodyField:
     before = np.ceil(np.maximum(low - points.min(axis=0) + BAND + field.cell, 0.0) / field.cell).astype(int)
     high = low + (shape - 1) * field.cell
     after = np.ceil(np.maximum(points.max(axis=0) + BAND + field.cell - high, 0.0) / field.cell).astype(int)
-    inside = tuple(slice(first, first + count) for first, count in zip(before, shape, strict=True))
+    inside = tuple(slice(first, first + count) for first, count in zip(before.tolist(), shape.tolist(), strict=True))
     device, size = field.distance.device, tuple((before + shape + after).tolist())
     distance = wp.full(size, BAND, dtype=float, device=device)
     part = wp.zeros(size, dtype=wp.uint8, device=device)

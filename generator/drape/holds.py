@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.generator.drape.body_field import ARMS, AXES, FOREARM
 from gcd_dataset.generator.drape.config import DrapeJob
-from gcd_dataset.records import BodyPart, BoxMesh, EdgeRole, Measurements, PanelRole
+from gcd_dataset.records import BoxMesh, EdgeRole, Measurements, PanelRole
 from gcd_dataset.spec import is_trouser_leg
 
 NECKLINE = frozenset({EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR})

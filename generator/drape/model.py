@@ -13,8 +13,8 @@ import warp as wp
 
 from gcd_dataset.generator.device import to_host
 from gcd_dataset.generator.drape.body_field import AXES, BodyField, HostField, body_fields
-from gcd_dataset.generator.drape.dressed import dressed
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
+from gcd_dataset.generator.drape.dressed import dressed
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, NOT_COUNTED
@@ -36,6 +36,7 @@ UNTANGLING = 24000.0  # cm/s², acceleration that shortens intersection contours
 PULLING = 12000.0  # cm/s², acceleration of crossing cloth toward its own body part
 SAMPLE = 8  # medians are taken over every eighth vertex or edge
 COARSE_GAP = 2.5  # layer distance of coarse cloth, as a multiple of that of fine cloth
+TUCK = 3.0  # layers of a flat fold: spare cloth that is tucked in lies so thick on the skin
 WORN_GAP = 0.125  # of the edge length: a chord as long as the radius of a fold cuts so deep into it, 1 - cos(30°)
 INERTIA_GAIN = 4.0  # inertia over mass at the median vertex: added inertia allows a longer time step
 
@@ -251,6 +252,7 @@ def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float, sewing_time: f
     world.pulling = PULLING if config.pull_to_parts else 0.0
     world.thickness = gap_factor * max(job.fabric.thickness, config.layer_gap)
     world.body_gap = config.body_gap
+    world.tucked_below, world.tuck = job.tucked_below, config.body_gap + TUCK * world.thickness
     world.margin = max(config.contact_margin, 1.5 * world.thickness)
     world.travel = 0.4 * (world.margin - world.thickness)
     return world

@@ -28,10 +28,12 @@ from gcd_dataset.records import Layer, Outcome, Outfit, Sample, WornGarment
 from gcd_dataset.shards import FIELDS, MEMBERS, ShardReader, ShardWriter, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import garments_layout, of_garment
+from gcd_dataset.shards.meta import sealed
 from tests.shards import stranger
 from tests.shards.folders import fake_outfit, fill_outfits
 from tests.shards.test_codec import form
 from tests.shards.test_hdf5 import assert_same
+from tests.shards.test_integrity import resealed
 from tests.shards.test_reader import flip
 
 COUNTS = (1, 2, 3, 2)
@@ -201,6 +203,28 @@ def test_a_damaged_member_of_a_further_garment_is_named(tmp_path: Path) -> None:
             decode_fields(members | {member: b"{"}, [field])
     with pytest.raises(ShardError, match="its members contradict each other"):
         decode_sample({name: data for name, data in members.items() if not name.startswith("g1.")})
+
+
+def test_errors_about_strange_outfits_are_one_line() -> None:
+    members = encode_sample(fake_outfit(0, 2))
+    meta = json.loads(members["meta.json"])
+    first, layer = meta["outfit"][0], meta["layers"][0]
+    for entries, message in (
+        ({"outfit": []}, "outfit is "),
+        ({"outfit": [{}]}, "outfit is "),
+        ({"outfit": [first | {"tucked": 1}]}, "outfit is "),
+        ({"layers": 3}, "layers is 3"),
+        ({"layers": [layer | {"wrong_order": "x"}]}, "layers is "),
+        ({"outfit": None}, "outfit is "),
+    ):
+        with pytest.raises(ShardError, match=rf"^member meta\.json: {message}"):
+            decode_sample(resealed(members, **entries))
+    for name in ("outfit", "layers"):
+        bare = {key: value for key, value in meta.items() if key not in (name, "crc32_before")}
+        with pytest.raises(ShardError, match=rf"^member meta\.json: {name} is missing"):
+            decode_sample({**members, "meta.json": sealed(bare)})
+    with pytest.raises(ShardError, match="gcd_000000000: its members contradict each other"):
+        decode_sample(resealed(members, outfit=3 * [first]))
 
 
 def test_outfits_that_the_format_cannot_hold_are_refused() -> None:

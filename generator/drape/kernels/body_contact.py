@@ -13,6 +13,9 @@ wp.set_module_options({"enable_backward": False})
 SMOOTHED = 0.3  # friction factor of a held garment, which is being smoothed into place
 GRIP = 2.0  # friction factor of keepers: the edges that keep a garment up are faced with grip tape
 FAR = wp.constant(1.0e3)  # cm, distance from a body part that a vertex passes through
+FOLDED = 1.0  # of the way toward the skin: how far tucked cloth is also moved to the back, which folds it over
+BEYOND = 3.9  # cm: a field has no gradient where it ends, ``body_field.BAND``
+LEFT_ARM, RIGHT_ARM = wp.constant(1), wp.constant(2)  # columns of ``ClothArrays.axes``
 FIELD_ERROR = 0.5  # cm, of the field beside worn cloth
 OUTSIDE_CLOTH = 0.3  # cm: where the field is larger, points lie outside all worn cloth
 MIDDLE_SHARE = 0.5  # share of ``body_gap`` that the inside of a long edge keeps
@@ -159,6 +162,9 @@ def find_skin(i: int, p: wp.vec3, world: World, cloth: ClothArrays) -> wp.vec4:
     plane by travel² / 2 R: 0.005 cm on a finger.
     """
     near = sample_field(world, p)
+    if p[1] < world.tucked_below and near[3] > 0.5 * (world.body_gap + world.tuck):
+        if cloth.own_part[i] != LEFT_ARM and cloth.own_part[i] != RIGHT_ARM:
+            return tuck_in(i, p, near, world, cloth)
     if near[3] >= world.clear:
         return near
     voxel = voxel_at(world, p)
@@ -167,6 +173,32 @@ def find_skin(i: int, p: wp.vec3, world: World, cloth: ClothArrays) -> wp.vec4:
     if (voxel & ON_CLOTH) != 0 and near[3] > -FIELD_ERROR:
         return find_cloth(p, near, world)
     return near
+
+
+@wp.func
+def tuck_in(i: int, p: wp.vec3, near: wp.vec4, world: World, cloth: ClothArrays) -> wp.vec4:
+    """A plane that keeps a tucked vertex within ``World.tuck`` of the skin: normal, and distance of ``p`` [cm].
+
+    The normal leans to the back: pressed straight to the skin, spare cloth would stand out in fins.
+    """
+    inward = -wp.vec3(near[0], near[1], near[2])
+    if near[3] > BEYOND:
+        inward = toward_part(i, cloth, p)
+    back = wp.cross(wp.vec3(0.0, 1.0, 0.0), inward)
+    if back[2] > 0.0:
+        back = -back
+    inward = wp.normalize(inward + FOLDED * back)
+    return wp.vec4(inward[0], inward[1], inward[2], world.body_gap + world.tuck - near[3])
+
+
+@wp.func
+def toward_part(i: int, cloth: ClothArrays, p: wp.vec3) -> wp.vec3:
+    """Unit vector from ``p`` to the axis of the body part that a vertex covers."""
+    w = cloth.vertex_world[i]
+    start = cloth.axes[2 * w, cloth.own_part[i]]
+    along = cloth.axes[2 * w + 1, cloth.own_part[i]] - start
+    share = wp.clamp(wp.dot(p - start, along) / wp.max(wp.length_sq(along), 1.0e-6), 0.0, 1.0)
+    return wp.normalize(start + share * along - p)
 
 
 @wp.func

@@ -8,6 +8,7 @@ fastest along the contour's directions ``R`` into the edge's faces for a displac
 
 import warp as wp
 
+from gcd_dataset.generator.drape.kernels.body_contact import toward_part
 from gcd_dataset.generator.drape.kernels.geometry import has_vertex, segment_crosses
 from gcd_dataset.generator.drape.kernels.push import add_push
 from gcd_dataset.generator.drape.kernels.world import ClothArrays, Contacts, CrossingWatch, World, take_slot
@@ -132,11 +133,7 @@ def pull_to_part(i: int, world: World, cloth: ClothArrays, x: wp.array(dtype=wp.
     part = cloth.own_part[i]
     if part < 0 or world.pulling == 0.0:
         return
-    w = cloth.vertex_world[i]
-    start = cloth.axes[2 * w, part]
-    along = cloth.axes[2 * w + 1, part] - start
-    share = wp.clamp(wp.dot(x[i] - start, along) / wp.max(wp.length_sq(along), 1.0e-6), 0.0, 1.0)
-    add_push(push, i, (world.pulling * world.dt * world.dt) * wp.normalize(start + share * along - x[i]))
+    add_push(push, i, (world.pulling * world.dt * world.dt) * toward_part(i, cloth, x[i]))
 
 
 @wp.func
@@ -250,12 +247,10 @@ def crosses_skin(mesh: wp.uint64, p: wp.vec3, q: wp.vec3) -> bool:
 @wp.func
 def crosses_body(world: World, skin: wp.uint64, p: wp.vec3, q: wp.vec3) -> bool:
     """Whether segment pq intersects the skin, or a garment worn on it."""
-    if crosses_skin(skin, p, q):
-        return True
+    crosses = crosses_skin(skin, p, q)
     for k in range(world.worn.shape[0]):
-        if crosses_skin(world.worn[k], p, q):
-            return True
-    return False
+        crosses = crosses or crosses_skin(world.worn[k], p, q)
+    return crosses
 
 
 @wp.kernel

@@ -169,7 +169,13 @@ def find_parts(
 
 
 @wp.kernel
-def measure_cloth_blocks(cloth: wp.uint64, low: wp.vec3, cell: float, blocks: wp.array3d(dtype=float)):
+def measure_cloth_blocks(
+    cloth: wp.uint64,
+    low: wp.vec3,
+    cell: float,
+    # out
+    blocks: wp.array3d(dtype=float),
+):
     """The distance of each block's centre from the cloth [cm], negative inside."""
     i, j, k = wp.tid()
     middle = wp.vec3(float(i), float(j), float(k)) + wp.vec3(0.5 - 0.5 / float(BLOCK))
