@@ -377,6 +377,7 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
             sample_fabric(design.seed, own_number(wearer.index, len(design.under)), config.fabric),
             wearer.coarse,
             wearer.start,
+            wearer.size.waist_level if design.worn.tucked else -math.inf,
             wearer.under,
         )
         for wearer in design.dressed
