@@ -5,11 +5,11 @@
 'A long skirt.'
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from gcd_dataset.errors import ShardError
 
-__all__ = ["LEVELS", "caption_text", "read_captions"]
+__all__ = ["LEVELS", "caption_text", "outfit_captions", "read_captions"]
 
 LEVELS = ("short", "medium", "full")
 """The levels of detail, in the order of the lines."""
@@ -29,3 +29,26 @@ def read_captions(text: str) -> dict[str, str]:
             "captioned by another program, so use its caption field as it is"
         )
     return {level: said for level, _, said in lines}
+
+
+def outfit_captions(
+    own: Sequence[Mapping[str, str]], *, tucked: Sequence[bool], closed: Sequence[bool]
+) -> dict[str, str]:
+    """Level to caption of an outfit, from the captions of its garments, from the skin outwards.
+
+    The short one is one sentence; the others name the garments in turn.
+
+    >>> shirt, skirt = ({level: f"A plain {noun}." for level in LEVELS} for noun in ("shirt", "skirt"))
+    >>> outfit_captions([shirt, skirt], tucked=[True, False], closed=[True, True])["short"]
+    'A plain shirt tucked into a plain skirt.'
+    >>> outfit_captions([shirt, skirt], tucked=[False, False], closed=[True, False])["full"]
+    'A plain shirt. Over it, worn open, a plain skirt.'
+    """
+    short, longer = own[0]["short"].rstrip("."), {level: own[0][level] for level in LEVELS[1:]}
+    for number, captions in enumerate(own[1:], 1):
+        said = {level: text[:1].lower() + text[1:] for level, text in captions.items()}
+        way = "" if closed[number] else " worn open"
+        short += f" {'tucked into' if tucked[number - 1] else 'under'} {said['short'].rstrip('.')}{way}"
+        place = "It is tucked into" if tucked[number - 1] else f"Over it,{f'{way},' if way else ''}"
+        longer = {level: f"{text} {place} {said[level]}" for level, text in longer.items()}
+    return {LEVELS[0]: f"{short}.", **longer}

@@ -35,11 +35,13 @@ __all__ = [
     "FitLabel",
     "Grade",
     "InnerLine",
+    "Layer",
     "LineRole",
     "Maps",
     "Measurements",
     "NamedFabric",
     "Outcome",
+    "Outfit",
     "Panel",
     "PanelRole",
     "Pattern",
@@ -51,6 +53,7 @@ __all__ = [
     "Seam",
     "StoredView",
     "Strain",
+    "WornGarment",
     "role_of",
 ]
 
@@ -671,6 +674,46 @@ class StoredView:
 
 
 @dataclass(frozen=True, eq=False)
+class WornGarment(Record):
+    """A garment of an outfit, with all stages of its making; a stage that did not run is ``None``."""
+
+    pattern: Pattern
+    design: Mapping[str, Any] = field(default_factory=dict)
+    box_mesh: BoxMesh | None = None
+    drape: Drape | None = None
+    fabric: NamedFabric | None = None
+    tucked: bool = False
+    """Whether it lies under the next garment below that garment's top edge."""
+    closed: bool = True
+    """Whether its closures are shut: a jacket may be worn open."""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """How two garments of an outfit lie: ``outer`` over ``inner``."""
+
+    inner: int
+    """Number of the garment in the outfit, from the skin outwards."""
+    outer: int
+    crossings: int
+    """Number of edges of either garment that cross a triangle of the other."""
+    covered: int
+    """Number of vertices of the inner garment with the outer one before or behind them, along the skin's normal."""
+    wrong_order: float
+    """Share of the covered vertices that have the outer garment between them and the skin; 0 where none is covered."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outfit(Record):
+    """Garments worn over each other on one body."""
+
+    garments: tuple[WornGarment, ...]
+    """From the skin outwards; two or more."""
+    layers: tuple[Layer, ...] = ()
+    """Each pair of draped garments, by ``outer``, then ``inner``."""
+
+
+@dataclass(frozen=True, eq=False)
 class Sample(Record):
     """A made-to-measure garment with all stages of its making; a stage that did not run (``--stage``) is ``None``."""
 
@@ -709,6 +752,8 @@ class Sample(Record):
     """Further pictures; the same number for every sample of a data set."""
     fit: Fit | None = None
     """``None`` for a garment cut for its wearer."""
+    outfit: Outfit | None = None
+    """``None`` for a single garment. The first garment of an outfit is that of the sample: it shares its values."""
 
     def _repr_html_(self) -> str:
         from gcd_dataset.viewer.notebook import sample_html

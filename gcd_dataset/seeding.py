@@ -29,6 +29,7 @@ class Stage(IntEnum):
     SCAN = 13
     SKETCH = 14
     MISFIT = 15
+    OUTFIT = 16
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:

@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import plain_names
 from gcd_dataset.generator.lay_plan import INK, PAPER, SheetPanel, cloth_colour, lay_out, seam_colour
+from gcd_dataset.outfits import joined
 from gcd_dataset.records import Pattern, Sample
 
 __all__ = [
@@ -109,7 +110,7 @@ def sample_sheet(sample: Sample, *, size: int = 512) -> UInt8[np.ndarray, "h w 3
     Pictures that it lacks are left out.
     """
     sides = [picture_of(jpeg, size) for jpeg in (sample.front, sample.back) if jpeg]
-    pictures = [*sides, draw_pattern(sample.pattern, size=size)]
+    pictures = [*sides, draw_pattern(joined(sample).pattern, size=size)]
     views = [picture_of(view.picture, size) for view in sample.views if view.picture]
     return contact_sheet([*pictures, *views], columns=len(pictures))
 

@@ -19,12 +19,14 @@ from gcd_dataset.generator.drapers.address import AT_ONCE
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.pipeline import (
     NO_REDRAWS,
+    DrapedDesign,
     DressedDesign,
     all_replies,
     drape_jobs,
     finish,
     prepare,
     rejection,
+    shown_under,
     view_requests,
 )
 from gcd_dataset.generator.recipe import MakeConfig, devices_of
@@ -181,20 +183,29 @@ class _Pending(Generic[Made]):
         return result is not None
 
     def _attempt(
-        self, index: int, rejects: tuple[Rejected, ...] = (), redraws: Mapping[str, int] = NO_REDRAWS
+        self,
+        index: int,
+        rejects: tuple[Rejected, ...] = (),
+        redraws: Mapping[str, int] = NO_REDRAWS,
+        under: tuple[DrapedDesign, ...] = (),
     ) -> DrapeWork[int]:
-        """The next accepted design for an index, as drape jobs."""
-        design = prepare(self.seed, index // self.config.wearers, self.config, rejects, redraws)
-        picture, views = (self.config.picture, view_requests(design, self.config)) if self.pictured else (0, ())
-        jobs, finished = drape_jobs(design, self.config), partial(self._finish, index, design)
-        return DrapeWork(jobs, finished, picture, views, self.config.maps)
+        """The next accepted design for an index, or for the next garment of its outfit, as drape jobs."""
+        config = self.config
+        design = prepare(self.seed, index // config.wearers, config, rejects, redraws, under)
+        jobs, finished = drape_jobs(design, config), partial(self._finish, index, design)
+        maps = config.maps and not under
+        if not (self.pictured and design.is_outermost):
+            return DrapeWork(jobs, finished, maps=maps)
+        return DrapeWork(jobs, finished, config.picture, view_requests(design, config), maps, shown_under(design))
 
     def _finish(self, index: int, design: DressedDesign, replies: Sequence[DrapeReply]) -> int | DrapeWork[int]:
-        """Finish the requested samples of a design; if a drape failed, return the next attempt instead."""
+        """Finish the requested samples of a design; return the next attempt if a drape failed, or the next garment."""
         replies = all_replies(design, replies, self.config)
         failed = rejection(design, [reply.drape for reply in replies], self.config)
         if failed is not None:
-            return self._attempt(index, (*design.rejects, failed), design.redraws)
+            return self._attempt(index, (*design.rejects, failed), design.redraws, design.under)
+        if not design.is_outermost:
+            return self._attempt(index, under=(*design.under, DrapedDesign(design, replies)))
         self.under_way.remove(design.number)
         sample_of = partial(_sample_of, design, replies, self.config)
         for wearer in design.dressed:

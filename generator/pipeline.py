@@ -15,16 +15,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from gcd_dataset.captions import caption_text, outfit_captions
 from gcd_dataset.errors import BodyError, ConfigError, MeshError, PatternError, shown
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.body.sizes import SizeChart
-from gcd_dataset.generator.captions import captions_text
+from gcd_dataset.generator.captions import captions
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.ease import ease_of
-from gcd_dataset.generator.garments import GarmentDesign, Reject, attempted_design, design_to_dict, garment_tags, try_on
+from gcd_dataset.generator.garments import (
+    TAGS,
+    GarmentDesign,
+    Reject,
+    attempted_design,
+    design_to_dict,
+    garment_tags,
+    try_on,
+)
+from gcd_dataset.generator.garments.overlay import NO_OVERLAY
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
-from gcd_dataset.generator.quality import grade_of, sample_surface, strain_of
+from gcd_dataset.generator.outfits import WornDesign, order_fault, worn_open
+from gcd_dataset.generator.quality import grade_of, grade_of_outfit, sample_surface, strain_of
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.generator.sized import Cut, draw_cut, lifted, size_or_none, undraped
 from gcd_dataset.generator.views import MISSING_VIEW, ViewRequest, picture_seed, stored_body
@@ -37,15 +48,18 @@ from gcd_dataset.records import (
     Ease,
     Fit,
     FitLabel,
+    Layer,
     Maps,
     Measurements,
     NamedFabric,
     Outcome,
+    Outfit,
     Pattern,
     Provenance,
     Rejected,
     Sample,
     StoredView,
+    WornGarment,
 )
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import key_of
@@ -53,6 +67,7 @@ from gcd_dataset.shards.layout import key_of
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob, Fabric
     from gcd_dataset.generator.drapers import DrapeReply
+    from gcd_dataset.generator.dressing.worn import WornCloth
 
 NO_REDRAWS: Mapping[str, int] = MappingProxyType({})
 MOST_BODIES = 1000  # bodies drawn for one with a size in the chart; 97 in 100 have one in those of this package
@@ -115,11 +130,20 @@ class DressedWearer:
     cut_for: Measurements
     """The measures for which the pattern is drawn: its own, or those of a size."""
     fit: Fit | None
+    under: tuple["WornCloth", ...] = ()
+    """The draped garments under this one."""
+    unsettled: str = ""
+    """Why the garment under this one has no drape to put it on."""
 
     @property
     def obstacle(self) -> FitLabel | None:
         """Why the garment cannot be put on, and is not draped; ``None`` if it can."""
         return self.fit.obstacle if self.fit else None
+
+    @property
+    def is_draped(self) -> bool:
+        """Whether the garment can be put on."""
+        return self.box_mesh is not None and not self.obstacle and not self.unsettled
 
 
 @dataclass(frozen=True)
@@ -133,10 +157,40 @@ class DressedDesign:
     """Rule to the number of parameter redraws, summed over all attempts."""
     design: GarmentDesign
     dressed: tuple[DressedWearer, ...]
+    outfit: tuple[WornDesign, ...] = (WornDesign(NO_OVERLAY),)
+    """The garments of its outfit; this is the one after ``under``."""
+    under: tuple["DrapedDesign", ...] = ()
 
-    def all_redraws(self) -> dict[str, int]:
+    @property
+    def worn(self) -> WornDesign:
+        """How this garment is worn."""
+        return self.outfit[len(self.under)]
+
+    @property
+    def is_outermost(self) -> bool:
+        """Whether no garment of its outfit is worn over it."""
+        return len(self.under) + 1 == len(self.outfit)
+
+    def all_redraws(self) -> Counter[str]:
         """Rule to the number of redraws: of parameters within all attempts, plus of whole designs."""
-        return dict(sorted((Counter(self.redraws) + Counter(reject.rule for reject in self.rejects)).items()))
+        return Counter(self.redraws) + Counter(reject.rule for reject in self.rejects)
+
+
+@dataclass(frozen=True)
+class DrapedDesign:
+    """A garment of an outfit on all its wearers."""
+
+    design: DressedDesign
+    replies: tuple["DrapeReply", ...]
+    """One for each wearer; none before stage ``drape``."""
+
+
+def own_number(number: int, garment: int) -> int:
+    """The number by which a garment of outfit ``number``, or of sample ``number``, draws: each has its own streams.
+
+    The innermost garment draws as a single garment does.
+    """
+    return number + (garment << 40)
 
 
 def prepare(
@@ -145,25 +199,28 @@ def prepare(
     config: MakeConfig,
     rejects: tuple[Rejected, ...] = (),
     redraws: Mapping[str, int] = NO_REDRAWS,
+    under: tuple[DrapedDesign, ...] = (),
 ) -> DressedDesign:
     """Design ``number`` with its bodies, patterns and meshes: the first accepted attempt after ``rejects``.
 
-    ``redraws``: rule to the number of redraws within the rejected attempts. Raises ``PatternError`` once
+    ``redraws``: rule to the number of redraws within the rejected attempts. ``under``: the garments of its outfit
+    under this one, from the skin outwards. Raises ``PatternError`` once
     ``config.max_attempts`` designs were rejected.
     """
     wearers = _wearers(seed, number, config)
     sizes, counts = [wearer.cut_for for wearer in wearers], Counter(redraws)
+    outfit, own = config.worn(seed, number), own_number(number, len(under))
     while len(rejects) < config.max_attempts:
-        drawn, dressed = attempted_design(seed, number, len(rejects), sizes, config.design), []
+        drawn, dressed = attempted_design(seed, own, len(rejects), sizes, outfit[len(under)].design), []
         counts += drawn.by_rule()
         for wearer in wearers:
-            result = _dress(seed, wearer, drawn.design, config)
+            result = _dress(seed, wearer, drawn.design, config, outfit, under)
             if isinstance(result, Reject):
                 rejects += (Rejected(wearer.index, result.rule, result.figures, result.numbers),)
                 break
             dressed.append(result)
         else:
-            return DressedDesign(seed, number, rejects, counts, drawn.design, tuple(dressed))
+            return DressedDesign(seed, number, rejects, counts, drawn.design, tuple(dressed), outfit, under)
     raise PatternError(
         f"sample {number * config.wearers} of seed {seed}: {len(rejects)} designs were rejected, the last for: "
         f"{rejects[-1]}: raise max_attempts"
@@ -247,15 +304,29 @@ def _neutral_with_legs_apart() -> Body:
     return build_body(neutral_shape(legs_apart=True))
 
 
-def _dress(seed: int, wearer: _Wearer, design: GarmentDesign, config: MakeConfig) -> DressedWearer | Reject:
-    pattern = try_on(wearer.cut_for, design, name=key_of(wearer.index))
+def _dress(
+    seed: int,
+    wearer: _Wearer,
+    design: GarmentDesign,
+    config: MakeConfig,
+    outfit: tuple[WornDesign, ...],
+    under: tuple[DrapedDesign, ...],
+) -> DressedWearer | Reject:
+    name = key_of(wearer.index) + (f"_g{len(under)}" if under else "")
+    pattern = try_on(wearer.cut_for, design, name=name)
     if isinstance(pattern, Reject):
         return pattern
+    row = wearer.index % config.wearers
+    if reason := order_fault([inner.design.dressed[row].pattern for inner in under], pattern, wearer.size):
+        return Reject("cannot_be_worn_over", reason)
+    pattern = pattern if outfit[len(under)].closed else worn_open(pattern)
     shape = wearer.shape
     if config.arms:
         turn = rng(seed, wearer.index, Stage.ARMS).uniform(-config.arms, config.arms)
         shape = replace(shape, arm_angle=math.radians(turn))
-    if design.meta.bottom and design.meta.bottom.garment.legs:  # measures: legs together; drape: legs apart
+    has_legs = bool(design.meta.bottom and design.meta.bottom.garment.legs)
+    if any(worn.may_have_legs for worn in outfit) if len(outfit) > 1 else has_legs:
+        # measures: legs together; drape: legs apart, for all garments of an outfit
         shape = replace(shape, legs_apart=True)
     if shape is wearer.shape:
         body = wearer.body
@@ -273,15 +344,23 @@ def _dress(seed: int, wearer: _Wearer, design: GarmentDesign, config: MakeConfig
         return Reject("cannot_be_placed", str(error))
     except MeshError as error:
         return Reject("cannot_be_meshed", str(error))
-    coarse, start = None, None
-    if mesh is not None and config.stage == "drape" and not (fit and fit.obstacle):
-        from gcd_dataset.generator.dressing.sewing_start import sewing_start
-
-        coarse = coarse_start(mesh)
-        start = sewing_start(coarse.mesh if coarse else mesh, body)
-    return DressedWearer(
-        wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse, start, wearer.cut_for, fit
+    dressed = DressedWearer(
+        wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, None, None, wearer.cut_for, fit
     )
+    if mesh is None or config.stage != "drape":
+        return dressed
+    from gcd_dataset.generator.dressing.sewing_start import sewing_start
+    from gcd_dataset.generator.dressing.worn import WornCloth
+
+    drapes = [(inner.design.dressed[row].box_mesh, inner.replies[row].drape) for inner in under]
+    if failed := [drape for _, drape in drapes if drape.outcome is not Outcome.SETTLED]:
+        return replace(dressed, unsettled=f"a garment under it is {failed[0].outcome.name}")
+    if not dressed.is_draped:
+        return dressed
+    cloths = tuple(WornCloth.of(inner, drape.vertices) for inner, drape in drapes if inner is not None)
+    coarse = coarse_start(mesh)
+    start = sewing_start(coarse.mesh if coarse else mesh, body, cloths)
+    return replace(dressed, coarse=coarse, start=start, under=cloths)
 
 
 def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", ...]:
@@ -295,33 +374,38 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
             wearer.box_mesh,
             wearer.body,
             wearer.size,
-            sample_fabric(design.seed, wearer.index, config.fabric),
+            sample_fabric(design.seed, own_number(wearer.index, len(design.under)), config.fabric),
             wearer.coarse,
             wearer.start,
+            wearer.size.waist_level if design.worn.tucked else -math.inf,
+            wearer.under,
         )
         for wearer in design.dressed
-        if wearer.box_mesh is not None and not wearer.obstacle
+        if wearer.box_mesh is not None and wearer.is_draped
     )
 
 
 def all_replies(design: DressedDesign, replies: Sequence["DrapeReply"], config: MakeConfig) -> tuple["DrapeReply", ...]:
-    """The replies to ``drape_jobs``, and one with ``CANNOT_BE_PUT_ON`` for each other wearer, in their order."""
+    """The replies to ``drape_jobs``, and one with ``CANNOT_BE_PUT_ON`` for each other wearer, in their order.
+
+    A garment over one that did not settle is ``REFUSED``.
+    """
     if config.stage != "drape":
         return ()
     from gcd_dataset.generator.drapers import DrapeReply
 
     draped = iter(replies)
     return tuple(
-        DrapeReply(-1, undraped(wearer.box_mesh, wearer.obstacle), None)
-        if wearer.box_mesh is not None and wearer.obstacle
-        else next(draped)
+        next(draped)
+        if wearer.is_draped or wearer.box_mesh is None
+        else DrapeReply(-1, undraped(wearer.box_mesh, wearer.obstacle, wearer.unsettled), None)
         for wearer in design.dressed
     )
 
 
 def view_requests(design: DressedDesign, config: MakeConfig) -> tuple[ViewRequest, ...]:
-    """The drawn views of each of ``drape_jobs``; none if ``config.views`` is 0."""
-    if not config.views:
+    """The drawn views of each of ``drape_jobs``; none if ``config.views`` is 0, or under another garment."""
+    if not config.views or not design.is_outermost:
         return ()
     seed = picture_seed(design.seed, data_seed=design.seed, recipe=recipe_of(config))
     return tuple(
@@ -334,7 +418,20 @@ def view_requests(design: DressedDesign, config: MakeConfig) -> tuple[ViewReques
             stored_body(wearer.shape),
         )
         for wearer in design.dressed
-        if not wearer.obstacle
+        if not wearer.obstacle and not wearer.unsettled
+    )
+
+
+def shown_under(design: DressedDesign) -> tuple[tuple[WornGarment, ...], ...]:
+    """The garments under each of ``drape_jobs``, for its pictures."""
+    return tuple(
+        tuple(
+            WornGarment(one.pattern, box_mesh=one.box_mesh, drape=inner.replies[row].drape)
+            for inner in design.under
+            for one in [inner.design.dressed[row]]
+        )
+        for row, wearer in enumerate(design.dressed)
+        if wearer.is_draped
     )
 
 
@@ -344,7 +441,8 @@ def rejection(design: DressedDesign, drapes: Sequence[Drape], config: MakeConfig
     A failed drape is kept with ``on_fail="keep"`` and in the last attempt. With sizes ``MISFITS`` are no failures.
     """
     good = {Outcome.SETTLED} | (MISFITS if config.sizes else frozenset())
-    failed = next((row for row, drape in enumerate(drapes) if drape.outcome not in good), None)
+    kept = [design.dressed[row].unsettled for row in range(len(drapes))]  # with the garment under it
+    failed = next((row for row, drape in enumerate(drapes) if drape.outcome not in good and not kept[row]), None)
     last = len(design.rejects) + 1 >= config.max_attempts
     if failed is None or config.on_fail == "keep" or last:
         return None
@@ -356,46 +454,51 @@ def rejection(design: DressedDesign, drapes: Sequence[Drape], config: MakeConfig
 
 
 def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeReply | None") -> Sample:
-    """The sample of one wearer: samples points and encodes pictures. ``reply``: ``None`` before stage ``drape``."""
-    dressed = design.dressed[index % config.wearers]
-    mesh, points = dressed.box_mesh, None
+    """The sample of one wearer: samples points and encodes pictures. ``reply``: ``None`` before stage ``drape``.
+
+    ``design``: the outermost garment of an outfit, whose garment 0 has the points, maps and ease.
+    """
+    row = index % config.wearers
+    all_worn = (*design.under, DrapedDesign(design, () if reply is None else (reply,) * config.wearers))
+    garments = tuple(_worn(one, row, config) for one in all_worn)
+    first, outermost, dressed = garments[0], design.dressed[row], all_worn[0].design.dressed[row]
+    mesh, drape, points = first.box_mesh, first.drape, None
     if mesh is not None:
-        vertices = mesh.vertices if reply is None else reply.drape.vertices
+        vertices = mesh.vertices if drape is None else drape.vertices
         points = sample_surface(vertices, mesh.faces, config.points, rng(design.seed, index, Stage.POINTS))
-    drape, caption = None, None
     views: tuple[StoredView, ...] = ()
     if reply is not None:
         views = tuple(StoredView(jpeg_bytes(view.rgb), view.facts) for view in reply.views)
-        if not views and (dressed.obstacle or not np.isfinite(reply.drape.vertices).all()):
+        if not views and not (outermost.is_draped and np.isfinite(reply.drape.vertices).all()):
             views = config.views * (MISSING_VIEW,)  # every sample has the same members
-    if reply is not None and mesh is not None:
-        strain = strain_of(mesh, reply.drape.vertices) if not dressed.obstacle else None
-        drape = replace(reply.drape, strain=strain)
-    if config.captions:
-        caption = captions_text(dressed.cut_for, design.design, dressed.pattern, seed=design.seed, index=index)
     maps, ease = None, dict[str, Ease]()
-    if config.maps and reply is not None:
-        maps = reply.maps or Maps.unknown(len(reply.drape.vertices))
+    if config.maps and drape is not None:
+        maps = all_worn[0].replies[row].maps or Maps.unknown(len(drape.vertices))
     if config.ease and mesh is not None:
         worn = None if drape is None or dressed.obstacle else drape.vertices
         ease = ease_of(dressed.pattern, mesh, dressed.body, dressed.size, worn)
     front, back = (None, None) if reply is None or reply.pictures is None else map(jpeg_bytes, reply.pictures)
+    rejects = tuple(reject for one in all_worn for reject in one.design.rejects)
+    redraws = sum((one.design.all_redraws() for one in all_worn), Counter[str]())
+    tags = {tag for one in all_worn for tag in _tags(one.design, row)}
+    outfit = Outfit(garments, _layers(garments, dressed.body)) if len(garments) > 1 else None
+    grade = None if drape is None else grade_of_outfit(outfit) if outfit else grade_of(drape, drape.strain)
     return Sample(
         key=key_of(index),
         provenance=Provenance(
             seed=design.seed,
             index=index,
-            attempts=len(design.rejects) + 1,
-            rejects=tuple(map(str, design.rejects)),
-            redraws=design.all_redraws(),
-            turned_down=design.rejects,
+            attempts=len(rejects) + 1,
+            rejects=tuple(map(str, rejects)),
+            redraws=dict(sorted(redraws.items())),
+            turned_down=rejects,
             versions=versions(),
             recipe=recipe_of(config),
             body_name=dressed.body_name,
         ),
         pattern=dressed.pattern,
         measurements=dressed.size,
-        design=design_to_dict(design.design),
+        design=first.design,
         shape=dressed.shape,
         box_mesh=mesh,
         drape=drape,
@@ -406,12 +509,57 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         views=views,
         gathers=dressed.pattern.gather_ratios(),
         ease=ease,
-        tags=garment_tags(dressed.cut_for, design.design, dressed.pattern),
-        fabric=None if reply is None else _fabric_record(design.seed, index, config.fabric),
-        grade=None if drape is None else grade_of(drape, drape.strain),
-        caption=caption,
+        tags=tuple(tag for tag in TAGS if tag in tags),
+        fabric=first.fabric,
+        grade=grade,
+        caption=_caption(all_worn, row) if config.captions else None,
         fit=dressed.fit,
+        outfit=outfit,
     )
+
+
+def _worn(draped: DrapedDesign, row: int, config: MakeConfig) -> WornGarment:
+    """The garment on wearer ``row``."""
+    design, drape, fabric = draped.design, None, None
+    dressed, how = design.dressed[row], design.worn
+    if draped.replies and dressed.box_mesh is not None:
+        drape = draped.replies[row].drape
+        strain = strain_of(dressed.box_mesh, drape.vertices) if dressed.is_draped else None
+        drape = replace(drape, strain=strain)
+        fabric = _fabric_record(design.seed, own_number(dressed.index, len(design.under)), config.fabric)
+    values = design_to_dict(design.design)
+    return WornGarment(dressed.pattern, values, dressed.box_mesh, drape, fabric, how.tucked, how.closed)
+
+
+def _layers(garments: Sequence[WornGarment], body: Body) -> tuple[Layer, ...]:
+    """How the draped garments lie over each other."""
+    from gcd_dataset.generator.drape import layers_of
+    from gcd_dataset.generator.dressing.worn import WornCloth
+
+    cloths = [
+        WornCloth.of(one.box_mesh, one.drape.vertices)
+        for one in garments
+        if one.box_mesh and one.drape and one.drape.strain and np.isfinite(one.drape.vertices).all()
+    ]
+    return layers_of(cloths, body, device="cpu") if len(cloths) > 1 else ()  # on every machine alike
+
+
+def _tags(design: DressedDesign, row: int) -> tuple[str, ...]:
+    dressed = design.dressed[row]
+    return garment_tags(dressed.cut_for, design.design, dressed.pattern)
+
+
+def _caption(worn: Sequence[DrapedDesign], row: int) -> str:
+    """The captions of all levels as the member ``caption.txt``."""
+    designs, said = [one.design for one in worn], []
+    for number, design in enumerate(designs):
+        dressed = design.dressed[row]
+        own = own_number(dressed.index, number)
+        said.append(captions(dressed.cut_for, design.design, dressed.pattern, seed=design.seed, index=own))
+    if len(said) == 1:
+        return caption_text(said[0])
+    how = [design.worn for design in designs]
+    return caption_text(outfit_captions(said, tucked=[w.tucked for w in how], closed=[w.closed for w in how]))
 
 
 def sample_fabric(seed: int, index: int, name: str) -> "Fabric":

@@ -7,15 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gcd_dataset.records import UV_STEP, BoxMesh, Drape, Grade, Outcome, Strain, as_stored
+from gcd_dataset.records import UV_STEP, BoxMesh, Drape, Grade, Outcome, Outfit, Strain, as_stored
 from gcd_dataset.shards.codec import spread
 
-__all__ = ["MAX_STRETCH", "grade_of", "principal_stretches", "strain_of"]
+__all__ = ["MAX_STRETCH", "grade_of", "grade_of_outfit", "principal_stretches", "strain_of"]
 
 # Largest stretch of a panel (``strain_of``) of a clean garment: stretched further it is too tight. Weight alone
 # stretches the default fabric by 1.41 where a dress of 2.5 m² hangs from shoulder seams of 3 cm, the shortest that are
 # sampled: four layers of 3 cm carry 4.9 N, at 100 N/m.
 MAX_STRETCH = 1.5
+WRONG_ORDER = 0.005  # largest share of covered vertices in wrong order of two garments of a clean outfit
 OUTLIERS = 1.0  # percent of a garment's faces left out at either end
 PANEL_OUTLIERS = 5.0  # percent of a panel's faces; more, since a panel may have few faces
 THIN = 1e-6  # cm²: a face with a smaller flat area has no defined stretch
@@ -120,6 +121,20 @@ def grade_of(drape: Drape, strain: Strain | None) -> Grade:
     crossings = drape.self_crossings + drape.body_crossings + drape.body_through
     loose = strain is not None and all(largest <= MAX_STRETCH for largest, _ in strain.panels)
     return Grade.CLEAN if drape.outcome is Outcome.SETTLED and crossings == 0 and loose else Grade.PAPER
+
+
+def grade_of_outfit(outfit: Outfit) -> Grade:
+    """The lowest grade of its garments, ``failed`` for one without a drape.
+
+    ``clean`` also requires that no two garments cross, and that at most ``WRONG_ORDER`` of the covered vertices of each
+    inner garment have the outer one below them.
+    """
+    drapes = [garment.drape for garment in outfit.garments]
+    grades = {Grade.FAILED if drape is None else grade_of(drape, drape.strain) for drape in drapes}
+    in_order = all(layer.crossings == 0 and layer.wrong_order <= WRONG_ORDER for layer in outfit.layers)
+    if Grade.FAILED in grades:
+        return Grade.FAILED
+    return Grade.CLEAN if grades == {Grade.CLEAN} and in_order else Grade.PAPER
 
 
 def sample_surface(

@@ -11,7 +11,9 @@ from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body.sizes import CHARTS, SizeChart, read_chart
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
+from gcd_dataset.generator.outfits import OUTFITS, Outfits, WornDesign, read_outfits
 from gcd_dataset.options import Option
+from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import Layout, garments_layout, recipe_hash
 
 Bodies = Literal["neutral", "random", "both", "female", "male", "pooled"]
@@ -28,7 +30,7 @@ USUAL_FABRIC = "default"
 NO_MISFIT = "0:0"
 STEPS = re.compile(r"([+-]?\d{1,3}):([+-]?\d{1,3})")
 LATER = {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0, "captions": False, "views": 0}
-LATER |= {"ease": False, "maps": False, "sizes": "", "misfit": NO_MISFIT}
+LATER |= {"ease": False, "maps": False, "sizes": "", "misfit": NO_MISFIT, "outfits": ""}
 """Options that a recipe omits at these values, so that the hash of recipes older than they are stays the same."""
 FINEST, COARSEST = 0.2, 10.0  # cm
 LIMITS = {
@@ -88,7 +90,11 @@ class MakeConfig:
     points: Annotated[int, Option("surface points of a sample")] = 8192
     picture: Annotated[int, Option("width and height of the pictures; 0 for no pictures", unit="pixels")] = 512
     max_attempts: Annotated[
-        int, Option("designs tried for one index; the last one is kept even if its drape does not settle")
+        int,
+        Option(
+            "designs tried for one index, or for each garment of its outfit; the last one is kept even if its drape "
+            "does not settle"
+        ),
     ] = 30
     design: Annotated[Overlay, Option("overlay that narrows the design space")] = NO_OVERLAY
     fabric: Annotated[
@@ -128,8 +134,17 @@ class MakeConfig:
             "probability; a size beyond the ends of the chart is not drawn: where it has none in the range, the nearest"
         ),
     ] = NO_MISFIT
+    outfits: Annotated[
+        str,
+        Option(
+            "outfits, everyday or a TOML file: each sample is several garments on one body, draped over each other; "
+            "design, sizes and misfit are for single garments; empty: a sample is one garment"
+        ),
+    ] = ""
     chart: SizeChart | None = field(default=None, init=False, repr=False, compare=False)
     """The chart ``sizes``, as read."""
+    wardrobe: Outfits | None = field(default=None, init=False, repr=False, compare=False)
+    """The file ``outfits``, as read."""
 
     def __post_init__(self) -> None:
         for entry in (entry for entry in fields(self) if entry.init):
@@ -158,6 +173,13 @@ class MakeConfig:
             object.__setattr__(self, "chart", read_chart(self.sizes))
         elif self.misfit != NO_MISFIT:
             raise ConfigError(f"misfit is {self.misfit}, but there is no size chart: give sizes, such as women")
+        if self.outfits:
+            if self.sizes or self.design != NO_OVERLAY:
+                given = "sizes" if self.sizes else "design"
+                raise ConfigError(
+                    f"{given} is for single garments: leave it out with outfits, which name their designs"
+                )
+            object.__setattr__(self, "wardrobe", read_outfits(self.outfits))
         if self.views and self.stage != "drape":
             raise ConfigError(f"views is {self.views}, but stage {self.stage} drapes nothing: give stage drape, or 0")
         if self.maps and self.stage != "drape":
@@ -169,6 +191,17 @@ class MakeConfig:
     def wearers(self) -> int:
         """Number of bodies that wear one design."""
         return self.bodies_each + (self.bodies == "both")
+
+    @property
+    def most_garments(self) -> int:
+        """Number of garments of the largest outfit."""
+        return self.wardrobe.most if self.wardrobe else 1
+
+    def worn(self, seed: int, number: int) -> tuple[WornDesign, ...]:
+        """The garments of design ``number``, from the skin outwards; the same in all attempts."""
+        if self.wardrobe is None:
+            return (WornDesign(self.design),)
+        return self.wardrobe.draw(rng(seed, number, Stage.OUTFIT))
 
     @property
     def steps(self) -> tuple[int, int]:
@@ -197,6 +230,7 @@ class MakeOptions(TypedDict, total=False):
     view_size: int
     sizes: str
     misfit: str
+    outfits: str
 
 
 def check_resolution(centimetres: float) -> float:
@@ -216,6 +250,8 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
         bodies = {size: body.to_file_values() for size, body in config.chart.bodies.items()}
         content = {"name": config.chart.name, "bodies": bodies, "limits": dict(config.chart.limits)}
         recipe["sizes"] = recipe_hash(content)
+    if config.wardrobe and config.outfits not in OUTFITS:
+        recipe["outfits"] = recipe_hash(dict(config.wardrobe.content))
     for name, usual in LATER.items():
         if recipe[name] == usual:
             del recipe[name]
@@ -226,7 +262,9 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
 def layout_of_samples(config: MakeConfig) -> Layout:
     """The members of a sample of this config."""
     sides = config.stage == "drape" and config.picture > 0
-    return garments_layout(caption=config.captions, maps=config.maps, views=config.views, sides=sides)
+    return garments_layout(
+        caption=config.captions, maps=config.maps, views=config.views, sides=sides, garments=config.most_garments
+    )
 
 
 def device_kind(config: MakeConfig) -> str:

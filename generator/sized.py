@@ -68,7 +68,10 @@ def lifted(pattern: Pattern, design: GarmentDesign, *, cut_for: Measurements, we
     return replace(pattern, panels=tuple(panels))
 
 
-def undraped(mesh: BoxMesh, obstacle: FitLabel) -> Drape:
-    """The drape of a garment that cannot be put on: before sewing, without figures."""
-    vertices = as_stored(mesh.vertices, POSITION_STEP)
-    return Drape(vertices, Outcome.CANNOT_BE_PUT_ON, 0, 0, 0, np.nan, np.nan, reason=obstacle.reason)
+def undraped(mesh: BoxMesh, obstacle: FitLabel | None, unsettled: str) -> Drape:
+    """The drape of a garment that cannot be put on: before sewing, without figures.
+
+    ``unsettled``: without an obstacle, the fault of a garment under it.
+    """
+    outcome, reason = (Outcome.CANNOT_BE_PUT_ON, obstacle.reason) if obstacle else (Outcome.REFUSED, unsettled)
+    return Drape(as_stored(mesh.vertices, POSITION_STEP), outcome, 0, 0, 0, np.nan, np.nan, reason=reason)

@@ -46,7 +46,16 @@ if TYPE_CHECKING:
     from gcd_dataset.loaders.mixed import MixedDataset
     from gcd_dataset.loaders.published import PublishedGarmentCodeData
     from gcd_dataset.loaders.scenes import VIEW_FIELDS, Scan, Sketch
-    from gcd_dataset.loaders.transforms import Augment, Augmented, Chain, PartialView, PickCaption, PointNoise, Yaw
+    from gcd_dataset.loaders.transforms import (
+        Augment,
+        Augmented,
+        Chain,
+        OutfitCloth,
+        PartialView,
+        PickCaption,
+        PointNoise,
+        Yaw,
+    )
     from gcd_dataset.loaders.views import Views
 
 __all__ = [
@@ -67,6 +76,7 @@ __all__ = [
     "GeneratedGarments",
     "Hdf5Garments",
     "MixedDataset",
+    "OutfitCloth",
     "PackedBatch",
     "PaddedBatch",
     "PartialView",

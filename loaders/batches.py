@@ -19,17 +19,19 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item, UnknownKeyError, as_type, require_float_dtype, tensor_of
 from gcd_dataset.loaders.shards import StoredItems
 from gcd_dataset.loaders.worker import naming_full, sent, unwrap
+from gcd_dataset.shards.layout import MOST_GARMENTS, of_each_garment, split_worn, worn_name
 from gcd_dataset.tensors import EdgeColumn, LineColumn, StitchColumn
 
-RAGGED = (
+_RAGGED = (
     "panels", "edges", "stitches", "closures", "lines", "faces", "uv", "panel_id", "labels", "seams", "corners",
     "uv_vertex", "box", "verts", "stretch", "gap", "pressure", "panel_corners", "panel_corner_pixels",
-    "panel_corner_visible",
+    "panel_corner_visible", "garment_id", "panel_garment",
 )  # fmt: skip
+RAGGED = of_each_garment(dict.fromkeys(_RAGGED))
 """Fields with a different number of rows in each garment."""
 
 WHOLE = slice(None)
-POINTS_TO: Mapping[str, tuple[tuple[slice, str], ...]] = {
+_POINTS_TO: Mapping[str, tuple[tuple[slice, str], ...]] = {
     "faces": ((WHOLE, "vertices"),),
     "uv_vertex": ((WHOLE, "vertices"),),
     "labels": ((slice(0, 1), "vertices"),),
@@ -39,6 +41,11 @@ POINTS_TO: Mapping[str, tuple[tuple[slice, str], ...]] = {
     "lines": ((slice(LineColumn.PANEL, LineColumn.PANEL + 1), "panels"),),
     "edges": ((slice(EdgeColumn.PANEL, EdgeColumn.PANEL + 1), "panels"),),
     "stitches": ((slice(StitchColumn.LEFT, StitchColumn.RIGHT + 1), "edges"),),
+}
+POINTS_TO: Mapping[str, tuple[tuple[slice, str], ...]] = {
+    worn_name(number, field): tuple((columns, worn_name(number, target)) for columns, target in of_field)
+    for number in range(MOST_GARMENTS)
+    for field, of_field in _POINTS_TO.items()
 }
 """Field to its columns of row numbers, each with the field that the numbers index."""
 
@@ -96,6 +103,8 @@ class _Batch(dict[str, Any]):
     seams: Int[Tensor, "*b m 2"] = _entry()
     box: Float[Tensor, "*b v 3"] = _entry()
     verts: Float[Tensor, "*b v 3"] = _entry()
+    garment_id: Int[Tensor, "*b v"] = _entry()
+    panel_garment: Int[Tensor, "*b p"] = _entry()
     panel_corners: Int[Tensor, "*b k 2"] = _entry()
     panel_corner_pixels: Float[Tensor, "*b k n 2"] = _entry()
     panel_corner_visible: Bool[Tensor, "*b k n"] = _entry()
@@ -219,10 +228,11 @@ class PackedBatch(_Batch):
         first, last = self[f"{field}_ptr"][number : number + 2].tolist()
         columns = POINTS_TO.get(field, ())
         rows: Tensor = self[field][first:last].clone() if columns else self[field][first:last]
-        if field == "stitches" and "lines_ptr" in self:
-            sides, edges = rows[:, : StitchColumn.RIGHT + 1], self["edges_ptr"]
+        worn, plain = split_worn(field)
+        if plain == "stitches" and (lines := f"{worn_name(worn, 'lines')}_ptr") in self:
+            sides, edges = rows[:, : StitchColumn.RIGHT + 1], self[f"{worn_name(worn, 'edges')}_ptr"]
             on_line = sides >= edges[-1]
-            sides[on_line] -= (edges[-1] - edges[number + 1] + self["lines_ptr"][number]).to(rows.dtype)
+            sides[on_line] -= (edges[-1] - edges[number + 1] + self[lines][number]).to(rows.dtype)
         for column, target in columns:
             entries = rows if rows.ndim == 1 else rows[:, column]
             entries -= starts_of(self, field, target)[number].to(rows.dtype)
@@ -249,12 +259,13 @@ def starts_of(batch: Mapping[str, Any], field: str, target: str) -> Any:
     A tensor, or an array where the batch holds arrays. Raises ``ConfigError`` if the target is not in the batch, and
     for draped and undraped garments in one batch.
     """
-    if target != "vertices":
+    worn, plain = split_worn(target)
+    if plain != "vertices":
         if f"{target}_ptr" not in batch:
             raise ConfigError(f"{field} holds rows of {target}: load the field {target} too")
         return batch[f"{target}_ptr"]
-    pointers = batch[f"{field}_ptr"]
-    found = [starts for name in ("verts", "box") if (starts := batch.get(f"{name}_ptr")) is not None and starts[-1]]
+    pointers, vertices = batch[f"{field}_ptr"], (worn_name(worn, name) for name in ("verts", "box"))
+    found = [starts for name in vertices if (starts := batch.get(f"{name}_ptr")) is not None and starts[-1]]
     if not found and not pointers[-1]:
         return 0 * pointers
     if not found:
@@ -344,6 +355,11 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     >>> batch["faces"].tolist(), batch["verts_ptr"].tolist()
     ([[0, 1, 2], [3, 4, 5]], [0, 3, 6])
     """
+    return unwrap(sent(pack_items(items)))
+
+
+def pack_items(items: Sequence[Item]) -> PackedBatch:
+    """``collate_packed``, in the memory of this process."""
     columns, dtype = _columns(items)
     counts = {field: list(map(len, values)) for field, values in columns.items() if field in RAGGED}
     # Arrays until the end: a call of torch takes several times as long as one of NumPy.
@@ -355,21 +371,26 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
             batch[field] = _concatenated(values, counts[field], dtype, starts, field)
         else:
             batch[field] = _stacked(values, dtype, field, isinstance(items, StoredItems))
-    if "stitches" in batch and any(counts.get("lines", [1])):
-        _refer_to_lines(batch, counts["stitches"])
-    return unwrap(sent(batch))
+    for worn in [split_worn(field)[0] for field in counts if split_worn(field)[1] == "stitches"]:
+        if any(counts.get(worn_name(worn, "lines"), [1])):
+            _refer_to_lines(batch, worn, counts[worn_name(worn, "stitches")])
+    return batch
 
 
-def _refer_to_lines(batch: PackedBatch, counts: Sequence[int]) -> None:
-    """Let sides of ``stitches`` beyond a garment's edges refer to ``lines``: beyond the edges of the whole batch."""
-    edges, sides = batch["edges_ptr"], batch["stitches"][:, : StitchColumn.RIGHT + 1]
+def _refer_to_lines(batch: PackedBatch, worn: int, counts: Sequence[int]) -> None:
+    """Let sides of ``stitches`` beyond a garment's edges refer to ``lines``: beyond the edges of the whole batch.
+
+    ``worn``: number of the garment in each outfit.
+    """
+    stitches, edges_ptr, lines_ptr = (worn_name(worn, name) for name in ("stitches", "edges_ptr", "lines_ptr"))
+    edges, sides = batch[edges_ptr], batch[stitches][:, : StitchColumn.RIGHT + 1]
     owner = torch.arange(len(counts)).repeat_interleave(torch.tensor(counts))
     on_line = sides >= edges[1:][owner].to(sides)[:, None]
     if not on_line.any():
         return
-    if "lines_ptr" not in batch:
-        raise ConfigError("stitches holds rows of lines: load the field lines too")
-    shift = edges[-1] - edges[1:] + batch["lines_ptr"][:-1]
+    if lines_ptr not in batch:
+        raise ConfigError(f"{stitches} holds rows of lines: load the field {lines_ptr.removesuffix('_ptr')} too")
+    shift = edges[-1] - edges[1:] + batch[lines_ptr][:-1]
     sides += on_line * shift[owner].to(sides)[:, None]
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.layout import JOINT, select_fields
+from gcd_dataset.shards.layout import JOINT, select_fields, split_worn
 
 
 class GarmentFields(TypedDict, total=False):
@@ -16,6 +16,9 @@ class GarmentFields(TypedDict, total=False):
     Floating fields have the data set's ``dtype``; integers are int32, and index the item's own arrays. Fields of a
     stage that was not made have no rows. Cameras are OpenCV's: axes x right, y down, z forward, a point X [cm] at
     K (R X + t), the centre of the upper left pixel at (0, 0). K is in pixels; [R | t] maps world to camera [1, cm].
+
+    The fields of a further garment of an outfit are named ``g1_verts``, ``g1_panels``, …: without rows where an outfit
+    has fewer garments. ``OutfitCloth`` joins them.
     """
 
     meta: dict[str, Any]
@@ -57,6 +60,10 @@ class GarmentFields(TypedDict, total=False):
     """Positions before sewing [cm]."""
     verts: Float[Tensor, "v 3"]
     """Positions at rest [cm]."""
+    garment_id: Int[Tensor, " v"]
+    """The garment of each vertex, from the skin outwards; this field and the next one are of ``OutfitCloth``."""
+    panel_garment: Int[Tensor, " p"]
+    """The garment of each panel."""
     points: Float[Tensor, "n 6"]
     """Points of the surface [cm], and normals."""
     stretch: Float[Tensor, "v 2"]
@@ -137,13 +144,12 @@ def select_present_fields(
     """
     available = tuple(available)
     requested = available if fields is None else select_fields(fields, (*available, *_joint(available)))
-    present = [field for field in select_fields(None, available) if field not in absent]
+    present = [field for field in select_fields(None, available) if split_worn(field)[1] not in absent]
     if fields is None:
         return tuple(present)
-    if missing := [field for field in requested if field in absent]:
-        raise ConfigError(
-            f"no field {', '.join(missing)}: these garments {absent[missing[0]]}: choose among {', '.join(present)}"
-        )
+    if missing := [field for field in requested if split_worn(field)[1] in absent]:
+        reason = absent[split_worn(missing[0])[1]]
+        raise ConfigError(f"no field {', '.join(missing)}: these garments {reason}: choose among {', '.join(present)}")
     return requested
 
 

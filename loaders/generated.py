@@ -114,7 +114,8 @@ class GeneratedGarments(Garments):
         self.config = MakeConfig(stage=_last_stage(drape, stage), design=_overlay(design), **options)
         empty = [] if self.config.picture else ["front", "back"]
         self._layout = layout_of_samples(self.config)
-        full = garments_layout(caption=self.config.captions, maps=self.config.maps, views=self.config.views)
+        shown = {"caption": self.config.captions, "maps": self.config.maps, "views": self.config.views}
+        full = garments_layout(**shown, garments=self.config.most_garments)
         available, absent = fields_of(full.members), absent_at_stage(self.config.stage, empty)
         super().__init__(fields, transform, available=available, absent=absent, dtype=dtype)
         self.garments_per_design = self.config.wearers
@@ -238,11 +239,16 @@ class GeneratedGarments(Garments):
         """A garment made now, even if it is cached."""
         self._log_wait()
         return next(
-            self._make(self._drapes_elsewhere, [position], finished=encode_sample, pictured=self._needs_pictures)
+            self._make(
+                self._drapes_elsewhere,
+                [position],
+                finished=partial(encode_sample, garments=self.config.most_garments),
+                pictured=self._needs_pictures,
+            )
         )
 
     def _encoded(self, sample: Sample) -> Mapping[str, Bytes]:
-        members = encode_sample(sample)
+        members = encode_sample(sample, garments=self.config.most_garments)
         if self._sample_cache is not None:
             self._sample_cache.keep(sample.provenance.index, members)
         return members

@@ -24,7 +24,7 @@ from gcd_dataset.loaders.base import (
 from gcd_dataset.loaders.fields import absent_when_empty
 from gcd_dataset.shards.codec import NO_PICTURE, WIDTHS
 from gcd_dataset.shards.hdf5 import FORMAT, MEMBER_OF, crc_of, form_of
-from gcd_dataset.shards.layout import ARRAYS, FIELDS, SCHEMA, Bytes, fields_of, key_of, members_of
+from gcd_dataset.shards.layout import ARRAYS, FIELDS, SCHEMA, Bytes, fields_of, key_of, members_of, split_worn
 from gcd_dataset.shards.sections import pack
 
 REMEDY = "copy it again, or make it again with gcd export"
@@ -99,7 +99,12 @@ class Hdf5Garments(Garments):
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         values = {member: self._values(position, fields_of([member])) for member in members}
-        return {m: pack(rows) if m in ARRAYS else next(iter(rows.values())).tobytes() for m, rows in values.items()}
+        return {
+            member: pack({split_worn(field)[1]: rows for field, rows in of.items()})
+            if member in ARRAYS
+            else next(iter(of.values())).tobytes()
+            for member, of in values.items()
+        }
 
     def _description(self) -> list[str]:
         return [f"{self.split} of {self.path}"]

@@ -27,10 +27,13 @@ from gcd_dataset.loaders.base import (
 )
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.ranks import device_of_process
+from gcd_dataset.loaders.transforms import OutfitCloth
 from gcd_dataset.loaders.worker import shared_number
+from gcd_dataset.outfits import joined_pattern
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Outcome, Panel, Pattern, Placement
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
+from gcd_dataset.shards.layout import split_worn, worn_name
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.render.scans import DepthNoise, PointScan, ScanRanges
@@ -101,10 +104,12 @@ class StoredGarment:
     """What an item tells of its garment."""
 
     index: int
-    fabric: str | None
+    fabric: str | tuple[str | None, ...] | None
+    """The name of its fabric, or that of each panel of an outfit."""
     mesh: BoxMesh
     vertices: np.ndarray
-    spec: Mapping[str, Any]
+    specs: Sequence[Mapping[str, Any]]
+    """The specification of each garment."""
     shape: np.ndarray | None
     """Shape weights of the wearer; ``None`` if they are unknown."""
     meta: Mapping[str, Any]
@@ -117,7 +122,10 @@ class StoredGarment:
     def of(cls, item: Item, *, user: str, values: Sequence[str] = ()) -> "StoredGarment":
         """For the transform ``user``, with ``values``. Raises ``ConfigError`` for a missing field, mesh or drape."""
         _require_fields(item, user, values)
-        meta = item["meta"]
+        meta, worn = item["meta"], item["meta"].get("outfit", [item["meta"]])
+        specs = [item[worn_name(number, "spec")] for number in range(len(worn))]
+        if any(split_worn(field)[0] for field in item):
+            item = OutfitCloth()(item)
         if meta.get("yaw"):
             raise ConfigError(
                 f"{meta['key']} was turned by Yaw before {user}, which finds the wearer unturned: apply {user} before "
@@ -128,15 +136,17 @@ class StoredGarment:
         mesh = BoxMesh(
             vertices=vertices,
             uv=_array(item["uv"]).astype(float),
-            panel_names=tuple(meta["panel_names"]),
+            panel_names=tuple(item["meta"]["panel_names"]),
             panel_labels=tuple(meta["panel_labels"]),
             labels={},
             **{name: array.astype(np.int64) for name, array in arrays.items()},
         )
         weights = _array(item["body"]).astype(float) if "body" in item else np.zeros(0)
-        fabric = None if meta["fabric"] is None else meta["fabric"]["name"]
+        names = [entry["fabric"] and entry["fabric"]["name"] for entry in worn]
+        panels = [name for name, entry in zip(names, worn, strict=True) for _ in entry["panel_names"]]
+        fabric = names[0] if len(worn) == 1 else tuple(panels)
         shape, given = weights if len(weights) else None, {name: _array(item[name]) for name in values}
-        return cls(meta["index"], fabric, mesh, vertices, item["spec"], shape, meta, user, given)
+        return cls(meta["index"], fabric, mesh, vertices, specs, shape, meta, user, given)
 
     def picture_seed(self, seed: int) -> int:
         """The seed of its pictures, scans or sketches, from the seed of the transform."""
@@ -146,8 +156,9 @@ class StoredGarment:
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Its panels, possibly without edges. Raises ``SpecError``."""
-        return _bare_pattern(self.meta, self.spec)
+        """Its panels, those of all garments, possibly without edges. Raises ``SpecError``."""
+        worn = zip(self.meta.get("outfit", [self.meta]), self.specs, strict=True)
+        return joined_pattern([_bare_pattern({**entry, "key": self.meta["key"]}, spec) for entry, spec in worn])
 
 
 def _bare_pattern(meta: Mapping[str, Any], spec: Mapping[str, Any]) -> Pattern:
@@ -173,9 +184,10 @@ UNPLACED = Placement(np.zeros(3), np.zeros(3))
 
 
 def _cannot_be_put_on(item: Item) -> bool:
-    """Whether the vertices of an item are those before sewing."""
-    drape = item.get("meta", {}).get("drape")
-    return drape is not None and drape["outcome"] == Outcome.CANNOT_BE_PUT_ON.name
+    """Whether the vertices of a garment of an item are those before sewing."""
+    meta = item.get("meta", {})
+    drapes = [entry["drape"] for entry in meta.get("outfit", [meta]) if entry.get("drape") is not None]
+    return any(drape["outcome"] == Outcome.CANNOT_BE_PUT_ON.name for drape in drapes)
 
 
 def _require_fields(item: Item, user: str, values: Sequence[str]) -> None:
@@ -184,17 +196,26 @@ def _require_fields(item: Item, user: str, values: Sequence[str]) -> None:
             f"{user} needs {', '.join(missing)}, and the items hold {', '.join(item) or 'nothing'}: give the data set "
             "fields=gcd_dataset.loaders.VIEW_FIELDS, or fields=None for all"
         )
-    key = item["meta"]["key"]
+    key, count = item["meta"]["key"], len(item["meta"].get("outfit", [0]))
+    of_all = [worn_name(number, name) for number in range(count) for name in NEEDED if not number or name != "meta"]
+    if missing := [field for field in of_all if field not in item]:
+        outfit = f"{key} is an outfit of {count} garments"
+        raise ConfigError(f"{outfit}, and {user} needs {', '.join(missing)}: give the data set fields=None")
+    if values and count > 1:
+        raise ConfigError(f"{key} is an outfit, whose first garment alone has {values[0]}: leave it out of maps")
     if missing := [field for field in values if field not in item]:
         raise ConfigError(
             f"{key} has no {', '.join(missing)} for maps of {user}: give the data set fields=(*VIEW_FIELDS, "
             f"{', '.join(map(repr, values))}); gcd generate --maps makes one that holds them"
         )
-    if empty := [field for field in ("faces", "uv", "verts") if not len(item[field])]:
+    if empty := [
+        field for field in of_all if split_worn(field)[1] in ("faces", "uv", "verts") and not len(item[field])
+    ]:
         raise ConfigError(
             f"{key} has no {' and no '.join(empty)}: {user} renders draped garments: make them up to drape"
         )
-    if not bool(torch.isfinite(torch.as_tensor(item["verts"])).all()):
+    places = (torch.as_tensor(item[worn_name(number, "verts")]) for number in range(count))
+    if not all(bool(torch.isfinite(verts).all()) for verts in places):
         raise ConfigError(f"{key}: its drape diverged: leave it out with settled_only=True, or quality='paper'")
 
 

@@ -1,4 +1,4 @@
-"""Random augmentations: callables ``(item, rng) -> item`` that leave the given item unchanged.
+"""Random augmentations: callables ``(item, rng) -> item`` that leave the given item unchanged; joined outfits.
 
 >>> from gcd_dataset.loaders import Augmented, FakeGarments
 >>> ds = Augmented(FakeGarments(3), Chain(Yaw(), PointNoise(0.2)), seed=1)
@@ -33,9 +33,12 @@ from gcd_dataset.loaders.base import (
     require_number,
     wrap_item,
 )
+from gcd_dataset.loaders.batches import RAGGED, pack_items
 from gcd_dataset.loaders.worker import shared_number
+from gcd_dataset.outfits import worn_panel
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
+from gcd_dataset.shards.layout import of_garment, split_worn
 
 Augment: TypeAlias = Callable[[Any, np.random.Generator], Any]
 """A function of an item and a random stream that returns the changed item."""
@@ -63,7 +66,7 @@ class Chain:
 
 @dataclass(frozen=True)
 class Yaw:
-    """Rotates the figure about the vertical: ``box``, ``verts``, ``points`` and ``scan``.
+    """Rotates the figure about the vertical: ``box``, ``verts``, of all garments, ``points`` and ``scan``.
 
     Cameras and lights turn with it: pictures and their maps stay, and ``camera_rt``, ``sketch_rt``, ``scan_camera_rt``
     and ``view_N_json`` describe them in the new axes. The pattern stays, and so do ``front`` and ``back``. The angle is
@@ -81,7 +84,8 @@ class Yaw:
         angle = rng.uniform(-self.most, self.most)
         cos, sin = np.cos(angle), np.sin(angle)
         rotation = torch.tensor([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]], dtype=torch.float32)
-        turned: dict[str, Any] = {field: _rotated(item[field], rotation) for field in PLACED if field in item}
+        placed = [field for field in item if split_worn(field)[1] in PLACED]
+        turned: dict[str, Any] = {field: _rotated(item[field], rotation) for field in placed}
         turned |= {field: _turned_cameras(item[field], rotation) for field in CAMERAS if field in item}
         turned |= {field: _turned_facts(item[field], rotation) for field in item if VIEW_FACTS.fullmatch(field)}
         if "meta" in item and turned and angle:
@@ -106,6 +110,30 @@ class PointNoise:
         noise = torch.from_numpy(rng.normal(0.0, self.sigma, (len(points), 3)).astype(np.float32))
         moved = (points[:, :3].float() + noise).to(points.dtype)
         return {**item, "points": torch.cat([moved, points[:, 3:]], dim=1)}
+
+
+class OutfitCloth:
+    """A transform that joins the garments of an outfit to one mesh and one pattern, as a batch joins its garments.
+
+    ``verts``, ``faces``, ``panels``, ``edges``, ``stitches``, … have the rows of all garments, from the skin outwards;
+    row numbers refer to the joined rows, and those in columns ``LABEL`` to the garment's own names in
+    ``meta["outfit"]``. ``garment_id`` is the garment of each vertex, ``panel_garment`` that of each panel, int32. The
+    panels of garment 1 are named ``g1_front``, … in ``meta["panel_names"]``. Fields that only the first garment has,
+    such as ``points``, stay. Raises ``ConfigError`` for row numbers without the field that they refer to.
+    """
+
+    def __call__(self, item: Item) -> Item:
+        garments = [of_garment(number, item) for number in range(1 + max(split_worn(field)[0] for field in item))]
+        shared = [field for field in garments[-1] if field in RAGGED]
+        joined = pack_items([{field: one[field] for field in shared if field in one} for one in garments])
+        owners = {"garment_id": "verts" if len(joined.get("verts", ())) else "box", "panel_garment": "panels"}
+        changed = {field: joined[field] for field in shared}
+        changed |= {name: joined.owners(field).int() for name, field in owners.items() if field in joined}
+        if "outfit" in item.get("meta", {}):
+            worn = enumerate(garment["panel_names"] for garment in item["meta"]["outfit"])
+            names = [worn_panel(number, name) for number, own in worn for name in own]
+            changed["meta"] = {**item["meta"], "panel_names": names}
+        return {**garments[0], **changed}
 
 
 class PickCaption:
@@ -233,7 +261,7 @@ class Augmented(DerivedGarments):
 
 def _rotated(rows: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
     """Positions, and normals if present, times the rotation matrix."""
-    columns = rows.float().reshape(len(rows), -1, 3)
+    columns = rows.float().reshape(len(rows), rows.shape[1] // 3, 3)
     return (columns @ rotation).reshape(rows.shape).to(rows.dtype)
 
 

@@ -33,7 +33,7 @@ from gcd_dataset.loaders.batches import (
 )
 from gcd_dataset.loaders.body_datasets import Bodies
 from gcd_dataset.loaders.scenes import VIEW_FIELDS, BodyOf, SceneTransform, StoredGarment, wearer_of
-from gcd_dataset.shards.layout import ARRAYS, MAPS
+from gcd_dataset.shards.layout import ARRAYS, MAPS, split_worn
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.render import (
@@ -285,16 +285,16 @@ def _items_of(batch: Any) -> list[Item]:
     if isinstance(batch, PaddedBatch):
         return [_unpadded(batch, number) for number in range(count)]
     targets = {target for field in USED for _, target in POINTS_TO.get(field, ())} | {"verts", "box"}
-    names = [*USED, *(f"{field}_ptr" for field in {*USED, *targets}), "batch_size"]
-    part = PackedBatch({name: batch[name] for name in names if name in batch})
+    names = {*USED, *(f"{field}_ptr" for field in {*USED, *targets}), "batch_size"}
+    part = PackedBatch({name: batch[name] for name in batch if split_worn(name)[1] in names})
     return [part.garment(number) for number in range(count)]
 
 
 def _unpadded(batch: PaddedBatch, number: int) -> Item:
     return {
         field: batch[field][number][batch[f"{field}_mask"][number]] if field in RAGGED else batch[field][number]
-        for field in USED
-        if field in batch
+        for field in batch
+        if split_worn(field)[1] in USED
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from gcd_dataset.check import checks
 from gcd_dataset.check.checks import Check, Harm
 from gcd_dataset.check.files import published_faults, set_faults
-from gcd_dataset.check.garments import FIELDS_READ, CheckedGarment, Fault, garment_faults
+from gcd_dataset.check.garments import FIELDS_READ, CheckedGarment, Fault, item_faults
 from gcd_dataset.check.report import Report, SplitSummary, Tally
 from gcd_dataset.check.sets import DIMENSIONS, NEAR, Census, SplitCensus, difference, near_pairs
 from gcd_dataset.errors import ConfigError, GcdError, RemoteError, ShardError
@@ -21,7 +21,7 @@ from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCo
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progress
 from gcd_dataset.release import PublishedBatches, PublishedGarments
-from gcd_dataset.shards.layout import ARRAYS, BODIES, FAILED, MAPS, key_of
+from gcd_dataset.shards.layout import ARRAYS, BODIES, FAILED, MAPS, key_of, split_worn
 from gcd_dataset.shards.store import FolderStore
 
 QUICK = 200  # garments of each split that are read with ``quick``
@@ -189,7 +189,7 @@ def _examined(known: Sequence[str] | None) -> tuple[str, ...]:
     """The fields to read, maps for their length. Published garments have no shape weights; points are sampled."""
     if known is None:
         return tuple(name for name in FIELDS_READ if name not in ("body", "points"))
-    return tuple(name for name in (*FIELDS_READ, *ARRAYS[MAPS]) if name in known)
+    return tuple(name for name in known if split_worn(name)[1] in (*FIELDS_READ, *ARRAYS[MAPS]))
 
 
 # -------------------------------------------------------------------------------------------------------- examination
@@ -231,10 +231,10 @@ class _Examination:
             if isinstance(item, GcdError):
                 self.tally.add(checks.UNREADABLE, split.name, split.key(position), [str(item)])
                 continue
-            garment = CheckedGarment.of(item)
+            garment = CheckedGarment.joined(item)
             census.add(position, garment)
             self.wearers.add(str(garment.meta.get("body") or ""))
-            self._count(split, position, garment_faults(garment))
+            self._count(split, position, item_faults(item))
 
     def _count(self, split: _Split, position: int, faults: Iterator[Fault]) -> None:
         found: dict[Check, list[str]] = {}
@@ -334,7 +334,7 @@ class _Examination:
     def _tensor(self, split: str, row: int) -> Any:
         garments = self._split(split).garments
         assert garments is not None
-        return CheckedGarment.of(garments[self.census.splits[split].position[row]]).tensor
+        return CheckedGarment.joined(garments[self.census.splits[split].position[row]]).tensor
 
 
 def _positions(count: int, most: int | None) -> list[int]:

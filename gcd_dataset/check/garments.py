@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,14 @@ from gcd_dataset.check import checks
 from gcd_dataset.check.checks import Check
 from gcd_dataset.errors import PatternError, SpecError
 from gcd_dataset.faults import Rule, Severity, check_pattern
+from gcd_dataset.generator.quality import WRONG_ORDER
+from gcd_dataset.loaders import OutfitCloth
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import MISFITS, Grade, Outcome, Pattern
+from gcd_dataset.shards.layout import of_garment, split_worn, worn_name
 from gcd_dataset.spec import pattern_from_spec
 from gcd_dataset.tensors import (
+    COLUMNS,
     NO_LINES,
     CurveKind,
     EdgeColumn,
@@ -60,11 +65,22 @@ class CheckedGarment:
     measures: Mapping[str, float] | None = None
 
     @classmethod
-    def of(cls, item: Mapping[str, Any]) -> "CheckedGarment":
-        """From an item of a data set."""
-        arrays = {name: np.asarray(item[name]) for name in ARRAYS if item.get(name) is not None}
-        rest = {name: item.get(name) for name in ("spec", "design", "measures")}
-        return cls(item["meta"]["key"], item["meta"], arrays, **rest)
+    def of(cls, item: Mapping[str, Any], number: int = 0) -> "CheckedGarment":
+        """From an item of a data set; ``number``: of the garment in an outfit."""
+        own = of_garment(number, item)
+        arrays = {name: np.asarray(own[name]) for name in ARRAYS if own.get(name) is not None}
+        rest = {name: own.get(name) for name in ("spec", "design", "measures")}
+        return cls(item["meta"]["key"], item["meta"]["outfit"][number] if number else item["meta"], arrays, **rest)
+
+    @classmethod
+    def joined(cls, item: Mapping[str, Any]) -> "CheckedGarment":
+        """As ``of``, with the patterns and the designs of all garments of an outfit, to compare outfits."""
+        numbers = range(1, len(item["meta"].get("outfit", ())))
+        if not numbers or not {"panels", "edges", "stitches", "lines"} <= item.keys():
+            return cls.of(item)
+        pattern = {name: rows for name, rows in item.items() if name == "meta" or split_worn(name)[1] in COLUMNS}
+        designs = {name: item[name] for number in numbers if (name := worn_name(number, "design")) in item}
+        return cls.of({**item, **OutfitCloth()(pattern), "design": {**item.get("design", {}), **designs}})
 
     def has(self, *names: str) -> bool:
         """Whether the garment has rows of all these arrays."""
@@ -101,6 +117,44 @@ class CheckedGarment:
             return None if self.tensor is None else decode_pattern(self.tensor)
         except PatternError:
             return None
+
+
+def item_faults(item: Mapping[str, Any]) -> Iterator[Fault]:
+    """The faults of a garment, or of each garment of an outfit and of its layers."""
+    yield from garment_faults(CheckedGarment.of(item))
+    meta = item["meta"]
+    if "outfit" not in meta:
+        return
+    count = len(meta["outfit"])
+    held = {split_worn(name)[0]: len(item[name]) > 0 for name in item if split_worn(name)[1] == "panels"}
+    if any(rows != (number < count) for number, rows in held.items()) or 1 < len(held) < count:
+        yield checks.REFERENCES, "meta[outfit] and the arrays have different garments"
+        return
+    for number in range(1, count):
+        faults = garment_faults(CheckedGarment.of(item, number))
+        yield from ((check, f"garment {number} of the outfit: {fault}") for check, fault in faults)
+    yield from ((checks.REFERENCES, fault) for fault in _layer_faults(item))
+
+
+def _layer_faults(item: Mapping[str, Any]) -> Iterator[str]:
+    """Layers that are missing, or that other garments than the item's would have."""
+    rows = item["meta"]["layers"]
+    outcomes = [entry["drape"] and entry["drape"]["outcome"] for entry in item["meta"]["outfit"]]
+    draped, settled = (
+        set(combinations([number for number, outcome in enumerate(outcomes) if outcome in kinds], 2))
+        for kinds in (Outcome.__members__, [Outcome.SETTLED.name])
+    )
+    pairs = [(row["inner"], row["outer"]) for row in rows]
+    if not settled <= {*pairs} <= draped or len({*pairs}) < len(pairs):
+        yield "meta[layers] has not one row for each two draped garments"
+        return
+    is_clean = item["meta"]["grade"] == Grade.CLEAN.value
+    if is_clean and any(row["crossings"] or row["wrong_order"] > WRONG_ORDER for row in rows):
+        yield "meta[grade] is clean, and garments cross or lie in wrong order"
+    for row in rows:
+        verts = item.get(worn_name(row["inner"], "verts"))
+        if not 0.0 <= row["wrong_order"] <= 1.0 or (verts is not None and not 0 <= row["covered"] <= len(verts)):
+            yield "meta[layers] holds a share above 1, or counts more vertices than there are"
 
 
 def garment_faults(garment: CheckedGarment) -> Iterator[Fault]:

@@ -105,6 +105,7 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
     from gcd_dataset.files import write_whole
     from gcd_dataset.generator.drawing import draw_pattern, png_bytes, sample_sheet
     from gcd_dataset.generator.svg import pattern_svg
+    from gcd_dataset.outfits import joined
     from gcd_dataset.records import Sample
     from gcd_dataset.viewer.content import content_of
     from gcd_dataset.viewer.garments import NO_BODY, published_content
@@ -124,7 +125,7 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
         picture = draw(subject) if isinstance(subject, Sample) else draw_pattern(subject)
         write_whole(options.png, png_bytes(picture))
     if options.svg is not None:
-        write_whole(options.svg, pattern_svg(subject.pattern if isinstance(subject, Sample) else subject))
+        write_whole(options.svg, pattern_svg(joined(subject).pattern if isinstance(subject, Sample) else subject))
     if options.html is not None:
         content = content_of(subject) if published is None else published_content(published, options.index)
         write_whole(options.html, page_of(content, maps=options.maps).encode())

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias, Union
 import numpy as np
 
 from gcd_dataset.errors import ConfigError, ExtraMissing, ShardError
+from gcd_dataset.outfits import joined
 from gcd_dataset.records import Body, BoxMesh, Drape, Outcome, Pattern, Sample
 
 if TYPE_CHECKING:
@@ -40,9 +41,12 @@ def require_suffix(path: Path | str, *suffixes: str) -> Path:
 
 
 def patterns_of(garment: Sample | Pattern | Graded) -> Graded:
-    """The pattern of each size; of a garment in one size by the name "". Raises ``ConfigError`` without sizes."""
+    """The pattern of each size; that of a garment or outfit in one size by the name "".
+
+    Raises ``ConfigError`` without sizes.
+    """
     if not isinstance(garment, Mapping):
-        return {"": garment.pattern if isinstance(garment, Sample) else garment}
+        return {"": joined(garment).pattern if isinstance(garment, Sample) else garment}
     if not garment:
         raise ConfigError("a graded garment without sizes: give the pattern of one size or more")
     return garment
@@ -54,7 +58,11 @@ def key_of(garment: Draped) -> str:
 
 
 def draped_mesh(garment: Draped) -> tuple[BoxMesh, Drape]:
-    """Mesh and drape of a garment. Raises ``ShardError`` for one without a drape, or with one that diverged."""
+    """Mesh and drape of a garment, or of all garments of an outfit.
+
+    Raises ``ShardError`` for one without a drape, or with one that diverged.
+    """
+    garment = joined(garment) if isinstance(garment, Sample) else garment
     if garment.box_mesh is None or garment.drape is None:
         raise ShardError(
             f"sample {key_of(garment)} holds no drape: make the data set with --stage drape, or export its pattern as "

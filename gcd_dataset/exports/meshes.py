@@ -15,7 +15,8 @@ from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.exports.inputs import Draped, body_of, draped_mesh, key_of, optional, require_suffix
 from gcd_dataset.files import open_whole, plain_names, write_whole
 from gcd_dataset.generator.lay_plan import PALETTE
-from gcd_dataset.records import Body, BoxMesh, Pattern
+from gcd_dataset.outfits import apart
+from gcd_dataset.records import Body, BoxMesh, Pattern, Sample
 
 TILE = 10.0  # cm of cloth that a texture covers
 SMALLEST_TILE, LARGEST_TILE = 0.01, 10_000.0  # cm: beyond, texture coordinates lose their digits as f32
@@ -84,7 +85,8 @@ PANEL, BODY = "gcd_panel", "gcd_body"
 def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
     """Write the draped garment, on its body, as binary glTF [m].
 
-    A node and a material for each panel, named after it. ``tile``: centimetres of cloth that a texture covers, in both
+    A node and a material for each panel, named after it; of an outfit below a node for each garment, ``garment_0``, ….
+    ``tile``: centimetres of cloth that a texture covers, in both
     directions of every panel. ``body``: whether to include the body, if the sample holds its shape. Raises
     ``ShardError`` for a sample without a drape, ``ConfigError`` for a name that does not end in ``.glb``,
     ``OutputError``.
@@ -94,7 +96,7 @@ def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
     path = require_suffix(path, ".glb")
     mesh, drape = draped_mesh(garment)
     uv, normals = texture_coordinates(mesh, tile), smooth_normals(drape.vertices, mesh.faces)
-    scene = trimesh.Scene()
+    scene, garment_of = trimesh.Scene(), _garment_of(garment)
     for number, (name, part) in enumerate(zip(mesh.panel_names, _part_names(mesh.panel_names), strict=True)):
         rows, corners = np.unique(mesh.corners[mesh.panel_id == number], return_inverse=True)
         if not len(rows):
@@ -109,7 +111,10 @@ def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
             metadata={PANEL: name},
             process=False,
         )
-        scene.add_geometry(panel, geom_name=part, node_name=part)
+        node = f"garment_{garment_of[number]}" if garment_of else None
+        if node is not None and node not in scene.graph.nodes:
+            scene.graph.update(frame_to=node)
+        scene.add_geometry(panel, geom_name=part, node_name=part, parent_node_name=node)
     worn = body_of(garment) if body else None
     if worn is not None:
         scene.add_geometry(_skin(worn), geom_name="body", node_name="body")
@@ -126,7 +131,8 @@ def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
 def obj(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
     """Write the draped garment, on its body, as OBJ [cm], and the materials of the panels as MTL beside it.
 
-    The vertices of the garment come first, in the order of the sample's ``verts``: seams are sewn. Else as ``glb``.
+    The vertices of the garment come first, in the order of the sample's ``verts``: seams are sewn. The objects of an
+    outfit are ``garment``, ``garment_1``, …. Else as ``glb``.
     """
     path = require_suffix(path, ".obj")
     materials = path.with_suffix(".mtl")
@@ -140,8 +146,11 @@ def obj(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
         *(f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in drape.vertices.tolist()),
         *(f"vt {u:.6g} {v:.6g}" for u, v in uv.tolist()),
     ]
+    garment_of = _garment_of(garment) or [0] * len(names)
     for number, name in enumerate(names):
         of_panel = mesh.panel_id == number
+        if number and garment_of[number] != garment_of[number - 1]:
+            lines.append(f"o garment_{garment_of[number]}")
         lines += [f"g {name}", f"usemtl {name}"]
         pairs = np.stack([mesh.faces[of_panel] + 1, mesh.corners[of_panel] + 1], axis=2).reshape(-1, 6)
         lines += ["f {}/{} {}/{} {}/{}".format(*row) for row in pairs.tolist()]
@@ -195,6 +204,12 @@ def _skin(body: Body) -> Any:
     return trimesh.Trimesh(METRE * body.vertices, body.faces, visual=visual, metadata={BODY: body.name}, process=False)
 
 
+def _garment_of(garment: Draped) -> list[int]:
+    """The garment of each panel of an outfit; empty for a single garment."""
+    outfit = garment.outfit if isinstance(garment, Sample) else None
+    return [number for number, worn in enumerate(outfit.garments if outfit else ()) for _ in worn.pattern.panels]
+
+
 def _part_names(panels: Iterable[str]) -> list[str]:
     """The name of each panel's part: unique, not empty, and neither that of the body nor that of the scene's root."""
     names: list[str] = []
@@ -218,8 +233,9 @@ def usd(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
     Centimetres (``metersPerUnit`` 0.01), y up. ``garment`` is one mesh, its vertices in the order of the sample's
     ``verts``, with texture coordinates ``primvars:st`` (1 is ``tile`` cm of cloth) and a ``GeomSubset`` with a material
     for each panel; ``seams`` are linear curves, one for each seam of the pattern, in order, from the start of its left
-    edge. ``body``: whether to include the body, if the sample holds its shape. Raises ``ShardError`` for a sample
-    without a drape, ``ConfigError`` for another suffix, ``ExtraMissing`` without usd-core, ``OutputError``.
+    edge. Those of an outfit are ``garment_0``, ``seams_0``, …. ``body``: whether to include the body, if the sample
+    holds its shape. Raises ``ShardError`` for a sample without a drape, ``ConfigError`` for another suffix,
+    ``ExtraMissing`` without usd-core, ``OutputError``.
     """
     path = require_suffix(path, *SUFFIXES)
     stage = _stage(garment, tile, body)
@@ -240,8 +256,11 @@ def _stage(garment: Draped, tile: float, with_body: bool) -> Any:
     root.GetPrim().SetCustomDataByKey("pattern", shown(garment.pattern.name))
     stage.SetDefaultPrim(root.GetPrim())
     top = str(root.GetPath())
-    _add_garment(stage, top, garment, tile)
-    _add_seams(stage, top, garment)
+    garments: Sequence[Draped] = apart(garment) if isinstance(garment, Sample) else [garment]
+    for number, one in enumerate(garments):
+        place = f"_{number}" if len(garments) > 1 else ""
+        _add_garment(stage, top, place, one, tile)
+        _add_seams(stage, f"{top}/seams{place}", one)
     if with_body and (body := body_of(garment)) is not None:
         skin = _add_mesh(stage, f"{top}/body", body.vertices, body.faces)
         skin.CreateDisplayColorPrimvar(geom.Tokens.constant).Set(_array("Vec3fArray", np.array([SKIN])))
@@ -249,10 +268,10 @@ def _stage(garment: Draped, tile: float, with_body: bool) -> Any:
     return stage
 
 
-def _add_garment(stage: Any, top: str, garment: Draped, tile: float) -> None:
+def _add_garment(stage: Any, top: str, place: str, garment: Draped, tile: float) -> None:
     geom, shade, sdf = (optional(f"pxr.{name}") for name in ("UsdGeom", "UsdShade", "Sdf"))
     mesh, drape = draped_mesh(garment)
-    cloth = _add_mesh(stage, f"{top}/garment", drape.vertices, mesh.faces)
+    cloth = _add_mesh(stage, f"{top}/garment{place}", drape.vertices, mesh.faces)
     cloth.CreateDoubleSidedAttr(True)
     st = geom.PrimvarsAPI(cloth).CreatePrimvar("st", sdf.ValueTypeNames.TexCoord2fArray, geom.Tokens.faceVarying)
     st.Set(_array("Vec2fArray", texture_coordinates(mesh, tile)))
@@ -270,17 +289,17 @@ def _add_garment(stage: Any, top: str, garment: Draped, tile: float) -> None:
         )
         subset.GetPrim().SetCustomDataByKey("panel", mesh.panel_names[number])
         subset.GetPrim().SetDisplayName(mesh.panel_names[number])
-        _bind(stage, subset, f"{top}/materials/{name}", PALETTE[number % len(PALETTE)])
+        _bind(stage, subset, f"{top}/materials{place}/{name}", PALETTE[number % len(PALETTE)])
 
 
-def _add_seams(stage: Any, top: str, garment: Draped) -> None:
+def _add_seams(stage: Any, path: str, garment: Draped) -> None:
     geom = optional("pxr.UsdGeom")
     mesh, drape = draped_mesh(garment)
     lines = [drape.vertices[vertices] for vertices in seam_vertices(mesh, garment.pattern)]
     lines = [line if len(line) > 1 else np.repeat(line[:1], 2, axis=0) for line in lines if len(line)]
     if not lines:
         return
-    curves = geom.BasisCurves.Define(stage, f"{top}/seams")
+    curves = geom.BasisCurves.Define(stage, path)
     curves.CreateTypeAttr(geom.Tokens.linear)
     curves.CreateWrapAttr(geom.Tokens.nonperiodic)
     points = np.concatenate(lines)

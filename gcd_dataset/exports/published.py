@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from gcd_dataset import __version__
-from gcd_dataset.errors import ShardError, shown
+from gcd_dataset.errors import ConfigError, ShardError, shown
 from gcd_dataset.filekinds import BODY_FOLDERS
 from gcd_dataset.files import safe_name, write_whole
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
@@ -36,6 +36,7 @@ from gcd_dataset.release.write import (
     yaml_bytes,
 )
 from gcd_dataset.shards import ShardReader
+from gcd_dataset.shards.layout import garments_in
 from gcd_dataset.shards.store import splits_in
 
 logger = logging.getLogger("gcd_dataset")
@@ -99,6 +100,8 @@ def export_published(readers: Mapping[str, ShardReader], out: Path | str) -> Gen
     as GarmentCode's tools do. ``out`` must be new or empty, or hold a stopped export of the same garments, which is
     resumed. Raises ``ConfigError``, ``OutputError`` and ``ShardError``.
     """
+    if any(garments_in(reader.layout.members) > 1 for reader in readers.values()):
+        raise ConfigError(f"{out}: the layout of GarmentCodeData has no outfits: give --plain OUT or --hdf5 FILE")
     with release_draft(out, _fingerprint(readers)) as draft:
         yield from _write_garments(readers, draft)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-from gcd_dataset.shards.layout import FAILED, fields_of, is_picture
+from gcd_dataset.shards.layout import FAILED, fields_of, is_picture, split_worn
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
 
 TEXTS = resources.files(__package__)
@@ -135,7 +135,8 @@ def _configs(release: Release) -> list[dict[str, Any]]:
 def _describe(field: str) -> str:
     if field.startswith("view_"):
         return "camera, light, place and materials of that view" if field.endswith("_json") else "picture from any side"
-    return FIELD_DESCRIPTIONS[field]
+    number, plain = split_worn(field)
+    return f"of garment {number} of an outfit: {FIELD_DESCRIPTIONS[plain]}" if number else FIELD_DESCRIPTIONS[plain]
 
 
 def _split_row(release: Release, name: str, split: SplitRecord) -> str:

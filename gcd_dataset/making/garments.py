@@ -17,6 +17,7 @@ from gcd_dataset.making.progress import Progress, ProgressCallback, ignore_progr
 from gcd_dataset.making.run import Made, MakeShards, Wanted, make_shards, run
 from gcd_dataset.making.store import place_for
 from gcd_dataset.making.tasks import Job, Work, check_count
+from gcd_dataset.outfits import joined
 from gcd_dataset.records import MISFITS, Outcome, Sample
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.body_set import encode_person, mesh_bytes
@@ -142,18 +143,19 @@ def make_garments(
 
         log_drape_time(len(indices), config.device, config.resolution)
     processes = workers_for(config, len(indices)) if workers is None else workers
-    finished = partial(encoded, config.wearers, keeps_all)
+    finished = partial(encoded, config, keeps_all)
     return produce(seed, indices, config, workers=processes, finished=finished, **options)
 
 
-def encoded(wearers: int, keeps_all: bool, sample: Sample) -> Made:
+def encoded(config: MakeConfig, keeps_all: bool, sample: Sample) -> Made:
     """A sample, encoded for its shard. Raises ``ShardError`` where the format cannot hold it."""
-    made, outcome = sample.provenance, None if sample.drape is None else sample.drape.outcome
+    made, drape = sample.provenance, joined(sample).drape
+    outcome = None if drape is None else drape.outcome
     fits = {None, Outcome.SETTLED} | (MISFITS if sample.fit else frozenset())
     failed = outcome not in fits and not keeps_all
-    rejects = tuple(map(str, made.turned_down)) if made.index % wearers == 0 else ()  # once for each design
+    rejects = tuple(map(str, made.turned_down)) if made.index % config.wearers == 0 else ()  # once for each design
     name = None if outcome is None else outcome.name
-    return Made(made.index, encode_sample(sample), "", failed, rejects, name)
+    return Made(made.index, encode_sample(sample, garments=config.most_garments), "", failed, rejects, name)
 
 
 def workers_for(config: MakeConfig, count: int) -> int:

@@ -15,8 +15,8 @@ import contextlib
 import io
 import math
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import astuple
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
+from dataclasses import astuple, replace
 from dataclasses import fields as dataclass_fields
 from typing import TYPE_CHECKING, Any, overload
 
@@ -37,16 +37,19 @@ from gcd_dataset.records import (
     Fit,
     FitLabel,
     Grade,
+    Layer,
     Maps,
     Measurements,
     NamedFabric,
     Outcome,
+    Outfit,
     Pattern,
     Provenance,
     Rejected,
     Sample,
     StoredView,
     Strain,
+    WornGarment,
     as_stored,
 )
 from gcd_dataset.shards.layout import (
@@ -56,6 +59,7 @@ from gcd_dataset.shards.layout import (
     LARGEST_SAMPLE,
     MAPS,
     MEMBERS,
+    MOST_GARMENTS,
     MOST_PIXELS,
     MOST_VIEWS,
     SCHEMA,
@@ -64,13 +68,18 @@ from gcd_dataset.shards.layout import (
     joint_fields,
     member_of,
     members_of,
+    of_each_garment,
+    of_garment,
     recipe_hash,
     select_fields,
+    split_worn,
+    worn_name,
 )
 from gcd_dataset.shards.meta import (
     COUNTS,
     NO_DRAPE,
     NO_FABRIC,
+    NO_LAYER,
     NO_LENGTH,
     NO_POSE,
     NO_REDRAW,
@@ -101,26 +110,30 @@ NO_PICTURE = (
 )
 """A grey JPEG of one pixel: other readers decode every picture, and cannot decode an empty member."""
 
-IDS = frozenset({"faces", "panel_id", "labels", "seams", "corners", "uv_vertex", "stitches"})
+IDS = frozenset(
+    of_each_garment(dict.fromkeys(["faces", "panel_id", "labels", "seams", "corners", "uv_vertex", "stitches"]))
+)
 """Fields that hold row numbers, int32."""
-DOUBLE = frozenset({"panels", "edges", "closures", "lines"})
+DOUBLE = frozenset(of_each_garment(dict.fromkeys(["panels", "edges", "closures", "lines"])))
 """Fields of float64."""
 
-WIDTHS: Mapping[str, tuple[int, ...]] = {
+_WIDTHS: Mapping[str, tuple[int, ...]] = {
     **{field: (len(columns),) for field, columns in COLUMNS.items()}, "body": (),
     "faces": (3,), "uv": (2,), "panel_id": (), "labels": (2,), "seams": (2,), "corners": (3,), "uv_vertex": (),
     "box": (3,), "verts": (3,), "points": (6,), "stretch": (2,), "gap": (), "pressure": (),
 }  # fmt: skip
+WIDTHS = of_each_garment(_WIDTHS)
 """Field to the shape of one row of its array."""
 
-SECTIONS: Mapping[str, tuple[str, ...]] = {
-    **{field: (field,) for field in WIDTHS},
+_SECTIONS: Mapping[str, tuple[str, ...]] = {
+    **{field: (field,) for field in _WIDTHS},
     "closures": ("closures", "stitches"),
     "faces": ("faces", "corners", "uv_vertex"),
     "panel_id": ("panel_id", "faces_of"),
     "box": ("box", "uv", "uv_vertex", "rows_of", "panels"),
     "points": ("points", "xyz", "normals"),
 }
+SECTIONS = of_each_garment(_SECTIONS)
 """Field to the sections of ``.z`` members that it is decoded from."""
 
 NORMAL_STEPS = 511  # of an octahedral coordinate, from 0 to 1
@@ -134,42 +147,64 @@ CENTROID = slice(PanelColumn.CENTROID_X, PanelColumn.CENTROID_Y + 1)
 LARGEST_ERROR = 1e-3  # cm: a box further from the derived one is stored
 STRIDE = 0x9E3779B1  # of ``spread``: the golden ratio of 2³²
 
-TEXTS = {*(member for member in MEMBERS if member.endswith((".json", ".txt"))), CAPTION}
+TEXTS = {*(member for member in MEMBERS if member.endswith((".json", ".txt"))), CAPTION} | {
+    *of_each_garment(dict.fromkeys(["spec.txt", "design.txt"]))
+}
 """The members that are text."""
 
 MISSING_MEASURE = -1.0
 """Marks a missing measure: no length is negative, and no inclination is exactly -1."""
 LARGEST_MEASURE = 1e6  # cm
 
+NO_GARMENT = WornGarment(Pattern("", (), ()))
+"""In place of a garment that the largest outfit of a data set has, and this one lacks: all its arrays have no rows."""
+
 
 # ------------------------------------------------------------------------------------------------------------- encoding
 
 
-def encode_sample(sample: Sample) -> dict[str, bytes]:
+def encode_sample(sample: Sample, *, garments: int = 1) -> dict[str, bytes]:
     """Member name to bytes; equal samples give equal bytes.
 
-    The members are ``MEMBERS``, and caption and views where the sample has them. Raises ``ShardError`` with the
-    sample's key for content that the format cannot hold.
+    The members are ``MEMBERS``, caption, views and further garments where the sample has them, and the members of
+    ``garments`` garments in any case. Raises ``ShardError`` with the sample's key for content that the format cannot
+    hold.
     """
-    return _encoded(sample, is_whole=True)
+    return _encoded(sample, garments, is_whole=True)
 
 
 def encode_partial_sample(sample: Sample) -> dict[str, bytes]:
     """Encode a partly read sample, without checksums. Raises ``ShardError`` as ``encode_sample`` does."""
-    return _encoded(sample, is_whole=False)
+    return _encoded(sample, 1, is_whole=False)
 
 
-def _encoded(sample: Sample, *, is_whole: bool) -> dict[str, bytes]:
+def _encoded(sample: Sample, count: int, *, is_whole: bool) -> dict[str, bytes]:
     try:
-        tensor = encode_pattern(sample.pattern)
-        content = _content(sample, tensor)
+        garments = _garments(sample, count)
+        tensors = [encode_pattern(garment.pattern) for garment in garments]
+        content = _content(sample, garments, tensors)
         crc = {"crc32": {member: zlib.crc32(data) for member, data in content.items()}} if is_whole else {}
-        return {MEMBERS[0]: sealed(_meta(sample, tensor) | crc), **content}
+        return {MEMBERS[0]: sealed(_meta(sample, garments, tensors) | crc), **content}
     except (ShardError, ValueError, TypeError) as error:
         raise ShardError(f"sample {sample.key} cannot be stored: {error}") from error
 
 
-def _content(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
+def _garments(sample: Sample, count: int) -> list[WornGarment]:
+    """The garments of a sample, ``count`` or more. Raises ``ShardError`` for an outfit that the format cannot hold."""
+    first = WornGarment(sample.pattern, sample.design, sample.box_mesh, sample.drape, sample.fabric)
+    if sample.outfit is None:
+        return [first] + [NO_GARMENT] * (count - 1)
+    own = sample.outfit.garments
+    if not 2 <= len(own) <= MOST_GARMENTS:
+        raise ShardError(f"an outfit of {len(own)} garments: give 2 to {MOST_GARMENTS}")
+    if own[0] != replace(first, tucked=own[0].tucked, closed=own[0].closed):
+        raise ShardError("the first garment of its outfit differs from its own pattern, design, mesh, drape or fabric")
+    if wrong := [layer for layer in sample.outfit.layers if not 0 <= layer.inner < layer.outer < len(own)]:
+        raise ShardError(f"garment {wrong[0].outer} over {wrong[0].inner}, in an outfit of {len(own)}")
+    return [*own, *[NO_GARMENT] * (count - len(own))]
+
+
+def _content(sample: Sample, garments: Sequence[WornGarment], tensors: Sequence[PatternTensor]) -> dict[str, bytes]:
     """All members except ``meta.json``, in file order."""
     pictures, recipe = {}, sample.provenance.recipe
     is_draped = sample.drape is not None or recipe.get("stage") == "drape"
@@ -183,13 +218,26 @@ def _content(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
             (f"view_{number}.json", json_bytes(dict(view.facts))),
         )
     }
-    texts = {
-        "spec.txt": json_bytes(spec_from_pattern(sample.pattern)),
-        "design.txt": json_bytes(dict(sample.design)),
+    texts = [
+        {"spec.txt": json_bytes(spec_from_pattern(one.pattern)), "design.txt": json_bytes(dict(one.design))}
+        for one in garments
+    ]
+    own = {
         "measures.json": measures_json(sample.measurements),
         **({} if sample.caption is None else {CAPTION: sample.caption.encode()}),
     }
-    return {**texts, **_arrays(sample, tensor), **pictures, **views}
+    body = {"body": np.asarray([] if sample.shape is None else sample.shape.weights, np.float32)}
+    parts = zip(garments, tensors, [body, *[{}] * (len(garments) - 1)], strict=True)
+    arrays = [_arrays(garment, tensor, **extra) for garment, tensor, extra in parts]
+    maps = {} if sample.maps is None else {name: _half(array) for name, array in sample.maps.by_vertex.items()}
+    _require_rows(maps, () if sample.drape is None else sample.drape.vertices)
+    surface = {"points.z": _points(sample.points), **({MAPS: pack(maps)} if maps else {})}
+    return {**texts[0], **own, **_further(texts), **arrays[0], **surface, **_further(arrays), **pictures, **views}
+
+
+def _further(parts: Sequence[Mapping[str, bytes]]) -> dict[str, bytes]:
+    """The members of all garments but the first."""
+    return {worn_name(k, member): data for k, part in enumerate(parts) if k for member, data in part.items()}
 
 
 def measures_json(measurements: Measurements) -> bytes:
@@ -197,28 +245,24 @@ def measures_json(measurements: Measurements) -> bytes:
     return json_bytes({**dict.fromkeys(MEASURES, MISSING_MEASURE), **measurements.to_file_values()})
 
 
-def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
-    """The ``.z`` members."""
-    mesh, drape = sample.box_mesh, sample.drape
+def _arrays(garment: WornGarment, tensor: PatternTensor, **body: np.ndarray) -> dict[str, bytes]:
+    """The ``.z`` members of a garment; ``body``: a further section of ``pattern.z``."""
+    mesh, drape = garment.box_mesh, garment.drape
     if mesh is not None and mesh.panel_names != tensor.panel_names:
         raise ShardError("its mesh and its pattern have different panels")
     pattern = {
         "panels": tensor.panels,
         "edges": tensor.edges,
         "stitches": np.asarray(tensor.stitches, np.int32),
-        **({} if all(seam.is_plain for seam in sample.pattern.seams) else {"closures": tensor.closures}),
+        **({} if all(seam.is_plain for seam in garment.pattern.seams) else {"closures": tensor.closures}),
         **({"lines": tensor.lines} if len(tensor.lines) else {}),
-        "body": np.asarray([] if sample.shape is None else sample.shape.weights, np.float32),
+        **body,
     }
     vertices = np.zeros((0, 3), np.float32) if drape is None else drape.vertices
-    maps = {} if sample.maps is None else {name: _half(array) for name, array in sample.maps.by_vertex.items()}
-    _require_rows(maps, vertices)
     return {
         "pattern.z": pack(pattern),
         "mesh.z": pack(_mesh_arrays(mesh or NO_MESH, tensor), MESH_CODINGS),
         "verts.z": pack({"verts": vertices}, {"verts": POSITION}),
-        "points.z": _points(sample.points),
-        **({MAPS: pack(maps)} if maps else {}),
     }
 
 
@@ -228,7 +272,7 @@ def _half(values: np.ndarray) -> np.ndarray:
     return np.clip(values, -largest, largest).astype(np.float16)
 
 
-def _require_rows(maps: Mapping[str, np.ndarray], vertices: np.ndarray) -> None:
+def _require_rows(maps: Mapping[str, np.ndarray], vertices: Sized) -> None:
     """Raise ``ShardError`` for maps without one row for each vertex."""
     for name, array in maps.items():
         if len(array) != len(vertices):
@@ -301,11 +345,9 @@ def spread(count: int) -> Int[np.ndarray, " n"]:
     return np.arange(count, dtype=np.int64) * step % max(count, 1)
 
 
-def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
+def _meta(sample: Sample, garments: Sequence[WornGarment], tensors: Sequence[PatternTensor]) -> dict[str, Any]:
     """The entries of ``meta.json``, without checksums."""
-    provenance, shape, fabric = sample.provenance, sample.shape, sample.fabric
-    mesh, drape = sample.box_mesh, sample.drape
-    strain = None if drape is None else drape.strain
+    provenance, shape, outfit = sample.provenance, sample.shape, sample.outfit
     texts = [text.partition(": ") for text in provenance.rejects]
     rejects = provenance.turned_down or [Rejected(provenance.index, rule, reason) for rule, _, reason in texts]
     fit = {} if sample.fit is None else fit_entry(sample.fit)
@@ -314,12 +356,8 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
             name: [length if math.isfinite(length) else NO_LENGTH for length in astuple(ease)]
             for name, ease in sample.ease.items()
         }
-    figures = dict(NO_DRAPE)
-    if drape is not None:
-        figures |= {"outcome": drape.outcome.name, "frames": drape.frames}
-        figures |= {name: count for name in COUNTS if (count := getattr(drape, name)) is not None}
-        # The stretch of a diverged drape is NaN, which JSON lacks.
-        figures |= {name: x for name in STRETCHES if math.isfinite(x := float(getattr(drape, name)))}
+    worn = [_worn_entry(*pair) for pair in zip(garments, tensors, strict=True) if pair[0] is not NO_GARMENT]
+    own, layers = worn[0], [vars(layer) for layer in (outfit.layers if outfit else ())] or [dict(NO_LAYER)]
     return {
         "schema": SCHEMA,
         "key": sample.key,
@@ -331,12 +369,43 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         "versions": json_text(dict(provenance.versions)),
         "recipe": json_text(dict(provenance.recipe)),
         "recipe_sha256": recipe_hash(dict(provenance.recipe)),
-        "pattern": sample.pattern.name,
+        "pattern": own["pattern"],
         "body": provenance.body_name,
-        "holds": {"shape": shape is not None, "mesh": mesh is not None, "drape": drape is not None},
+        "holds": {"shape": shape is not None, **own["holds"]},
         "pose": NO_POSE
         if shape is None
         else {"arm_angle": float(shape.arm_angle), "legs_apart": bool(shape.legs_apart)},
+        **{name: own[name] for name in LABELS},
+        "drape": own["drape"],
+        "strain": own["strain"],
+        "grade": "" if sample.grade is None else sample.grade.value,
+        "fabric": own["fabric"],
+        "gathers": list(map(float, sample.gathers)) or [-1.0],
+        **({"fit": fit} if fit else {}),
+        **({} if sample.maps is None else {"softened": float(sample.maps.softened)}),
+        **({"outfit": worn, "layers": layers} if len(garments) > 1 else {}),
+        "tags": list(sample.tags) or [""],
+        "source": provenance.source,
+    }
+
+
+LABELS = ("panel_names", "panel_labels", "edge_labels", "vertex_labels")
+
+
+def _worn_entry(garment: WornGarment, tensor: PatternTensor) -> dict[str, Any]:
+    """A garment as an entry of ``outfit``."""
+    mesh, drape, fabric = garment.box_mesh, garment.drape, garment.fabric
+    strain, figures = None if drape is None else drape.strain, dict(NO_DRAPE)
+    if drape is not None:
+        figures |= {"outcome": drape.outcome.name, "frames": drape.frames}
+        figures |= {name: count for name in COUNTS if (count := getattr(drape, name)) is not None}
+        # The stretch of a diverged drape is NaN, which JSON lacks.
+        figures |= {name: x for name in STRETCHES if math.isfinite(x := float(getattr(drape, name)))}
+    return {
+        "pattern": garment.pattern.name,
+        "tucked": garment.tucked,
+        "closed": garment.closed,
+        "holds": {"mesh": mesh is not None, "drape": drape is not None},
         "panel_names": list(tensor.panel_names),
         "panel_labels": list(tensor.panel_labels),
         "edge_labels": list(tensor.edge_labels),
@@ -345,15 +414,9 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         "strain": NO_STRAIN
         if strain is None
         else {"principal": [*map(float, strain.principal)], "panels": [[*map(float, pair)] for pair in strain.panels]},
-        "grade": "" if sample.grade is None else sample.grade.value,
         "fabric": NO_FABRIC
         if fabric is None
         else {"name": fabric.name, "parameters": json_text(dict(fabric.parameters))},
-        "gathers": list(map(float, sample.gathers)) or [-1.0],
-        **({"fit": fit} if fit else {}),
-        **({} if sample.maps is None else {"softened": float(sample.maps.softened)}),
-        "tags": list(sample.tags) or [""],
-        "source": provenance.source,
     }
 
 
@@ -415,7 +478,8 @@ def _all_fields(sample: Mapping[str, Any]) -> dict[str, Any]:
 def _all_arrays(members: Mapping[str, Bytes]) -> dict[str, Any]:
     """The fields in ``.z`` members; the arrays of an unknown member, or one of a person, as they are stored."""
     garment = {member: data for member, data in members.items() if member in ARRAYS}
-    values = decode_fields(garment, [f for f in fields_of(garment) if f != "box" or "pattern.z" in garment])
+    member_in = fields_of(garment)
+    values = decode_fields(garment, [f for f in member_in if garment.keys() >= {*members_of([f], member_in)}])
     for member in members.keys() - garment.keys():
         with _reading(member):
             values |= unpack(members[member])
@@ -432,23 +496,25 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
     field = decode_fields(members, [name for name in member_in if name not in pictures])
     meta = field["meta"]
     fit = meta.get("fit", {})
-    pattern = pattern_from_spec(field["spec"], meta["pattern"], source=meta["key"])
     try:
+        worn = enumerate(meta.get("outfit") or [meta])
+        garments = tuple(_garment(of_garment(k, field) | {"meta": entry}, meta["key"]) for k, entry in worn)
+        first = garments[0]
         return Sample(
             key=meta["key"],
             provenance=_provenance(meta, read_rejects(members["meta.json"])),
-            pattern=pattern,
+            pattern=first.pattern,
             measurements=Measurements.from_file_values(field["measures"]),
-            design=field["design"],
+            design=first.design,
             shape=None if meta["pose"] is None else BodyShape(field["body"].astype(float), **meta["pose"]),
-            box_mesh=None if meta["vertex_labels"] is None else _mesh(field, pattern),
-            drape=None if meta["drape"] is None else _drape(field),
+            box_mesh=first.box_mesh,
+            drape=first.drape,
             maps=Maps(**{f: field[f].astype(float) for f in ARRAYS[MAPS]}, softened=meta["softened"])
             if "gap" in field
             else None,
             points=field["points"].astype(float) if len(field["points"]) else None,
             grade=Grade(meta["grade"]) if meta["grade"] else None,
-            fabric=None if meta["fabric"] is None else NamedFabric(**meta["fabric"]),
+            fabric=first.fabric,
             gathers=tuple(meta["gathers"]),
             ease={
                 name: Ease(**{key: value for key, value in figures.items() if value is not None})
@@ -459,6 +525,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             views=_views(pictures, field),
             fit=_fit(fit) if "chart" in fit else None,
             **{name: pictures[name] for name in ("front", "back") if pictures.get(name, NO_PICTURE) != NO_PICTURE},
+            outfit=Outfit(garments, tuple(Layer(**layer) for layer in meta["layers"])) if len(garments) > 1 else None,
         )
     except (KeyError, ValueError, TypeError) as error:
         if isinstance(error, GcdError):
@@ -486,6 +553,22 @@ def decode_field(field: str, members: Mapping[str, Bytes]) -> Any:
 
 
 def _decoded(members: Mapping[str, Bytes], fields: Sequence[str]) -> dict[str, Any]:
+    numbers = {split_worn(field)[0] for field in fields}
+    if numbers <= {0}:
+        return _decoded_garment(members, fields)
+    values = dict[str, Any]()
+    for number in numbers:
+        plain = [field for worn, field in map(split_worn, fields) if worn == number]
+        try:
+            found = _decoded_garment(of_garment(number, members), plain)
+        except ShardError as error:
+            raise ShardError(str(error).replace("member ", f"member g{number}." if number else "member ", 1)) from error
+        values |= {worn_name(number, field): value for field, value in found.items()}
+    return {field: values[field] for field in fields}
+
+
+def _decoded_garment(members: Mapping[str, Bytes], fields: Sequence[str]) -> dict[str, Any]:
+    """The fields of one garment of an outfit, by their names in a single garment."""
     arrays: dict[str, np.ndarray] = {}
     sections = {section for field in fields for section in SECTIONS.get(field, ())}
     stored = {field: member_of(field) for field in fields if field in SECTIONS}
@@ -674,8 +757,7 @@ def _caption(data: Bytes) -> str:
 
 DECODERS: Mapping[str, Callable[[Bytes], Any]] = {
     "meta": read_meta,
-    "spec": decode_object,
-    "design": decode_object,
+    **of_each_garment({"spec": decode_object, "design": decode_object}),
     "measures": read_measures,
     "front": _picture,
     "back": _picture,
@@ -696,6 +778,21 @@ def _provenance(meta: Mapping[str, Any], rejects: Sequence[Mapping[str, Any]]) -
             for entry in rejects
         ),
         body_name=meta["body"],
+    )
+
+
+def _garment(field: Mapping[str, Any], key: str) -> WornGarment:
+    """A garment of an outfit, from its fields; ``meta`` is its entry in ``outfit``."""
+    meta = field["meta"]
+    pattern = pattern_from_spec(field["spec"], meta["pattern"], source=key)
+    return WornGarment(
+        pattern,
+        field["design"],
+        box_mesh=None if meta["vertex_labels"] is None else _mesh(field, pattern),
+        drape=None if meta["drape"] is None else _drape(field),
+        fabric=None if meta["fabric"] is None else NamedFabric(**meta["fabric"]),
+        tucked=meta.get("tucked", False),
+        closed=meta.get("closed", True),
     )
 
 

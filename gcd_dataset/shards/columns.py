@@ -221,7 +221,7 @@ def _samples(content: memoryview, numbers: Sequence[int]) -> Iterator[tuple[str,
 def _rows_of(fields: Sequence[str], members: Mapping[str, Bytes], key: str) -> dict[str, np.ndarray]:
     """Field to its rows in a column, for one sample. Raises ``ShardError``."""
     arrays = [field for field in fields if field in SECTIONS]
-    needed = dict.fromkeys([*map(member_of, fields), *(members_of(["box"]) if "box" in fields else ())])
+    needed = members_of(fields, {field: member_of(field) for field in fields})
     if lacking := [member for member in needed if member not in members]:
         raise ShardError(f"sample {key} has no {lacking[0]}")
     try:

@@ -20,11 +20,11 @@ import numpy as np
 
 from gcd_dataset.files import drafted, user_path
 from gcd_dataset.shards.codec import DOUBLE, IDS, WIDTHS, decode_fields
-from gcd_dataset.shards.layout import MOST_VIEWS, SCHEMA, Bytes, fields_of, garments_layout
+from gcd_dataset.shards.layout import MOST_GARMENTS, MOST_VIEWS, SCHEMA, Bytes, fields_of, garments_layout
 from gcd_dataset.shards.reader import ShardReader
 
 FORMAT = "gcd_dataset garments"
-MEMBER_OF = fields_of(garments_layout(caption=True, maps=True, views=MOST_VIEWS).members)
+MEMBER_OF = fields_of(garments_layout(caption=True, maps=True, views=MOST_VIEWS, garments=MOST_GARMENTS).members)
 """Field to member, of all fields that a file may hold."""
 
 

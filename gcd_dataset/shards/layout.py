@@ -9,12 +9,14 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from functools import lru_cache
+from typing import Any, TypeAlias, TypeVar
 
 from gcd_dataset.errors import ConfigError, did_you_mean
 from gcd_dataset.files import require_name
 
 Bytes: TypeAlias = bytes | bytearray | memoryview
+_T = TypeVar("_T")
 
 SCHEMA = 3
 """The schema of the format; incremented whenever old readers would misread new shards."""
@@ -38,6 +40,12 @@ MEMBERS: tuple[str, ...] = (
 """The members of every sample in file order, small members first."""
 META = MEMBERS[0]
 
+WORN = ("spec.txt", "design.txt", "pattern.z", "mesh.z", "verts.z")
+"""The members of each further garment of an outfit: ``g1.spec.txt``, …, ``g2.spec.txt``, …"""
+WORN_NAME = re.compile(r"g([1-7])[._](.+)")
+MOST_GARMENTS = 8
+"""Garments of an outfit, so that their numbers have one digit."""
+
 TRAIN, FAILED = "train", "failed"
 """The default split, and the split of failed drapes."""
 
@@ -48,12 +56,58 @@ VIEW = re.compile(r"view_(0|[1-9]\d?)\.(jpg|json)")
 JOINT: Mapping[str, str] = {"views": "jpg", "camera_k": "json", "camera_rt": "json"}
 """Field decoded from a member of each view, with the ending of these members."""
 
-ARRAYS: Mapping[str, tuple[str, ...]] = {
+
+def worn_name(number: int, name: str) -> str:
+    """The member or field of garment ``number`` of an outfit, from its name in a single garment.
+
+    >>> worn_name(1, "verts.z"), worn_name(2, "verts"), worn_name(0, "verts")
+    ('g1.verts.z', 'g2_verts', 'verts')
+    """
+    return f"g{number}{'.' if '.' in name else '_'}{name}" if number else name
+
+
+@lru_cache(1024)
+def split_worn(name: str) -> tuple[int, str]:
+    """The garment of a member or field, and its name in a single garment: the inverse of ``worn_name``.
+
+    >>> split_worn("g1.verts.z"), split_worn("verts")
+    ((1, 'verts.z'), (0, 'verts'))
+    """
+    match = WORN_NAME.fullmatch(name)
+    return (int(match[1]), match[2]) if match else (0, name)
+
+
+def of_garment(number: int, values: Mapping[str, _T]) -> dict[str, _T]:
+    """The members or fields of one garment of an outfit, by their names in a single garment."""
+    return {plain: values[name] for name in values for worn, plain in [split_worn(name)] if worn == number}
+
+
+def of_each_garment(values: Mapping[str, _T]) -> dict[str, _T]:
+    """The same values for the members or fields of every garment of an outfit, by ``worn_name``."""
+    return {worn_name(number, name): value for number in range(MOST_GARMENTS) for name, value in values.items()}
+
+
+def garments_in(members: Iterable[str]) -> int:
+    """The number of garments in the largest outfit of a data set with these members.
+
+    >>> garments_in(["pattern.z", "g1.pattern.z"]), garments_in(MEMBERS)
+    (2, 1)
+    """
+    return 1 + max((split_worn(member)[0] for member in members), default=0)
+
+
+_ARRAYS: dict[str, tuple[str, ...]] = {
     "pattern.z": ("panels", "edges", "stitches", "closures", "lines", "body"),
     "mesh.z": ("faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box"),
     "verts.z": ("verts",),
     "points.z": ("points",),
     MAPS: ("stretch", "gap", "pressure"),
+}
+ARRAYS: Mapping[str, tuple[str, ...]] = _ARRAYS | {
+    worn_name(number, member): tuple(worn_name(number, field) for field in _ARRAYS[member] if field != "body")
+    for number in range(1, MOST_GARMENTS)
+    for member in WORN
+    if member in _ARRAYS
 }
 """Member to the arrays in it."""
 
@@ -76,16 +130,23 @@ class Layout:
         return replace(self, members=tuple(members))
 
 
-def garments_layout(*, caption: bool = False, maps: bool = False, views: int = 0, sides: bool = True) -> Layout:
+def garments_layout(
+    *, caption: bool = False, maps: bool = False, views: int = 0, sides: bool = True, garments: int = 1
+) -> Layout:
     """The layout of garments; with a caption, maps, a number of views, or both ``sides`` as pictures in every sample.
+
+    ``garments``: of the largest outfit.
 
     >>> garments_layout(caption=True, views=1).members[4:6], garments_layout(views=1).members[-3:]
     (('caption.txt', 'pattern.z'), ('back.jpg', 'view_0.jpg', 'view_0.json'))
+    >>> [member for member in garments_layout(garments=2).members if member not in MEMBERS]
+    ['g1.spec.txt', 'g1.design.txt', 'g1.pattern.z', 'g1.mesh.z', 'g1.verts.z']
     """
     first_array, first_picture = MEMBERS.index("pattern.z"), MEMBERS.index("front.jpg")
     pictures = [f"view_{number}.{ending}" for number in range(views) for ending in ("jpg", "json")]
-    texts = (*MEMBERS[:first_array], *([CAPTION] if caption else []))
-    arrays = (*MEMBERS[first_array:first_picture], *([MAPS] if maps else []))
+    worn = [worn_name(number, member) for number in range(1, garments) for member in WORN]
+    texts = (*MEMBERS[:first_array], *([CAPTION] if caption else []), *(m for m in worn if m.endswith(".txt")))
+    arrays = (*MEMBERS[first_array:first_picture], *([MAPS] if maps else []), *(m for m in worn if m.endswith(".z")))
     members = (*texts, *arrays, *(MEMBERS[first_picture:] if sides else []), *pictures)
     return Layout("garments", members, "GarmentDataset")
 
@@ -104,9 +165,10 @@ def fields_of(members: Iterable[str]) -> dict[str, str]:
 
 
 def _name_of(member: str) -> str:
-    """The field of a member that holds one: of ``view_0.json`` it is ``view_0_json``."""
+    """The field of a member that holds one: ``view_0_json`` of ``view_0.json``, ``g1_spec`` of ``g1.spec.txt``."""
+    number, member = split_worn(member)
     stem, ending = member.split(".", 1)
-    return f"{stem}_json" if ending == "json" and VIEW.fullmatch(member) else stem
+    return f"{stem}_json" if ending == "json" and VIEW.fullmatch(member) else worn_name(number, stem)
 
 
 FIELDS: Mapping[str, str] = fields_of(MEMBERS)
@@ -146,13 +208,17 @@ def members_of(fields: Iterable[str], available: Mapping[str, str] = FIELDS) -> 
     """The members that decoding these fields needs; ``available``: field to member."""
     joint = joint_fields(available.values())
     wanted = dict.fromkeys(member for field in fields for member in joint.get(field) or (available[field],))
-    if "box" in fields:  # derived from the places of the panels
-        wanted[FIELDS["panels"]] = None
+    for number, field in map(split_worn, fields):
+        if field == "box":  # derived from the places of the panels
+            wanted[member_of(worn_name(number, "panels"))] = None
     return tuple(wanted)
 
 
 def member_of(field: str) -> str:
-    """The member of a field; ``view_0_json`` is in ``view_0.json``."""
+    """The member of a field; ``view_0_json`` is in ``view_0.json``, ``g1_box`` in ``g1.mesh.z``."""
+    number, field = split_worn(field)
+    if number:
+        return worn_name(number, member_of(field))
     if field in FIELDS:
         return FIELDS[field]
     if field in ARRAYS[MAPS]:

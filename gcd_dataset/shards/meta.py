@@ -40,6 +40,14 @@ garments              JSON type  holds                                          
 ``softened``          float      stiffness of the fabric over that in the drape, for
                                  ``pressure``: ``records.Maps``; a key only of recipes with
                                  ``maps``
+``outfit``            objects    only of sets of outfits: an entry for each garment, from the
+                                 skin outwards: ``tucked``, ``closed`` (bools), ``pattern``,
+                                 ``panel_names``, ``panel_labels``, ``edge_labels``,
+                                 ``vertex_labels``, ``drape``, ``strain``, ``fabric`` and
+                                 ``holds``, as here for the first garment
+``layers``            objects    only of sets of outfits: for each two draped garments ``inner``    one of -1, -1.0
+                                 and ``outer``, their places in ``outfit``, ``crossings`` and
+                                 ``covered`` (ints), ``wrong_order`` (float): ``records.Layer``
 ``tags``              texts      names of the style: ``generator.garments.TAGS``  (*)             ``[""]``
 ``source``            text       publication that the garment comes from                          ``""``
 ``fit``               object     only of recipes with ``sizes``: ``chart``, ``cut_for``,          ``wearer_size`` ``""``
@@ -92,6 +100,7 @@ NO_STRAIN: Mapping[str, Any] = {"principal": [-1.0, -1.0], "panels": [[-1.0, -1.
 NO_FABRIC: Mapping[str, Any] = {"name": "", "parameters": "{}"}
 NO_LABEL: Mapping[str, Any] = {"rule": "", "reason": "", "figures": "{}"}
 NO_LENGTH = -1.0
+NO_LAYER: Mapping[str, Any] = {"inner": -1, "outer": -1, "crossings": -1, "covered": -1, "wrong_order": -1.0}
 
 
 # ------------------------------------------------------------------------------------------------------------- writing
@@ -160,7 +169,8 @@ def read_meta(data: Bytes) -> dict[str, Any]:
         raise ShardError(f"of schema {found(meta.get('schema'))}, but this reader knows {SCHEMA}: update gcd_dataset")
     _require_seal(data)
     forms = PERSON if "name" in meta else GARMENT
-    for name in forms:
+    worn = ("outfit", "layers")
+    for name in (*forms, *(worn if any(name in meta for name in worn) else ())):
         if name not in meta:
             raise ShardError(f"{name} is missing")
     for name, form in {**forms, **SOMETIMES}.items():
@@ -172,23 +182,33 @@ def read_meta(data: Bytes) -> dict[str, Any]:
         raise ShardError(f"versions is {found(loaded['versions'])}")
     if "fit" in meta:
         loaded["fit"] = _loaded_fit(meta["fit"])
+    if "outfit" in meta:
+        loaded["outfit"] = [entry | _loaded_garment(entry) for entry in meta["outfit"]]
+        loaded["layers"] = [layer for layer in meta["layers"] if layer["inner"] >= 0]
     return loaded if forms is PERSON else loaded | _loaded(meta)
 
 
 def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
     """The values in items of the keys for which the file has others."""
-    holds, drape, fabric = meta["holds"], meta["drape"], meta["fabric"]
-    stretches = {name: None if drape[name] == -1.0 else drape[name] for name in STRETCHES}
     return {
         "rejects": [f"{entry['rule']}: {entry['reason']}" for entry in meta["rejects"] if entry["rule"]],
         "redraws": {entry["rule"]: entry["count"] for entry in meta["redraws"] if entry["rule"]},
-        "pose": meta["pose"] if holds["shape"] else None,
-        "vertex_labels": [word for word in meta["vertex_labels"] if word] if holds["mesh"] else None,
-        "drape": drape | stretches if holds["drape"] else None,
-        "strain": None if meta["strain"] == NO_STRAIN else meta["strain"],
-        "fabric": fabric | {"parameters": _parsed(fabric["parameters"])} if fabric["name"] else None,
+        "pose": meta["pose"] if meta["holds"]["shape"] else None,
+        **_loaded_garment(meta),
         "gathers": [ratio for ratio in meta["gathers"] if ratio != -1.0],
         "tags": [word for word in meta["tags"] if word],
+    }
+
+
+def _loaded_garment(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """The same, of an entry of ``outfit``."""
+    holds, drape, fabric = entry["holds"], entry["drape"], entry["fabric"]
+    stretches = {name: None if drape[name] == -1.0 else drape[name] for name in STRETCHES}
+    return {
+        "vertex_labels": [word for word in entry["vertex_labels"] if word] if holds["mesh"] else None,
+        "drape": drape | stretches if holds["drape"] else None,
+        "strain": None if entry["strain"] == NO_STRAIN else entry["strain"],
+        "fabric": fabric | {"parameters": _parsed(fabric["parameters"])} if fabric["name"] else None,
     }
 
 
@@ -293,30 +313,37 @@ def _is_fit(fit: Any) -> bool:
     return _has_form(fit, {**(_SIZES if fit.keys() - ease.keys() else {}), **ease})
 
 
-GARMENT: Mapping[str, Any] = {
-    **_ORIGIN,
-    "attempts": is_count,
-    "rejects": [{"index": int, "rule": str, "reason": str, "figures": str}],
-    "redraws": [{"rule": str, "count": is_count}],
+_WORN: Mapping[str, Any] = {
     "pattern": str,
-    "body": str,
-    "holds": {"shape": bool, "mesh": bool, "drape": bool},
-    "pose": {"arm_angle": _is_number, "legs_apart": bool},
+    "holds": {"mesh": bool, "drape": bool},
     "panel_names": [str],
     "panel_labels": [str],
     "edge_labels": [str],
     "vertex_labels": [str],
     "drape": {"outcome": str, "frames": int} | dict.fromkeys(COUNTS, int) | dict.fromkeys(STRETCHES, _is_number),
     "strain": {"principal": _PAIR, "panels": [_PAIR]},
-    "grade": str,
     "fabric": {"name": str, "parameters": str},
+}
+GARMENT: Mapping[str, Any] = {
+    **_ORIGIN,
+    "attempts": is_count,
+    "rejects": [{"index": int, "rule": str, "reason": str, "figures": str}],
+    "redraws": [{"rule": str, "count": is_count}],
+    "body": str,
+    **_WORN,
+    "holds": {"shape": bool, "mesh": bool, "drape": bool},
+    "pose": {"arm_angle": _is_number, "legs_apart": bool},
+    "grade": str,
     "gathers": [_is_number],
     "tags": [str],
     "source": str,
 }
 """Key to the form of its value in the file."""
+_LAYER: Mapping[str, Any] = dict.fromkeys(("inner", "outer", "crossings", "covered"), int) | {"wrong_order": _is_number}
 SOMETIMES: Mapping[str, Any] = {
     "fit": _is_fit,
     "softened": _is_number,
+    "outfit": lambda worn: bool(worn) and _has_form(worn, [{**_WORN, "tucked": bool, "closed": bool}]),
+    "layers": [_LAYER],
 }
 """The same of the keys that only some recipes have."""

@@ -31,6 +31,7 @@ from gcd_dataset.errors import ConfigError, ShardError, shown
 from gcd_dataset.files import open_regular
 from gcd_dataset.jsonfile import found
 from gcd_dataset.patternhash import PatternHash, hash_pattern
+from gcd_dataset.records import Outcome
 from gcd_dataset.shards.access import REMEDY, Place, mapped, read_file, reading
 from gcd_dataset.shards.codec import stored_pattern
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
@@ -146,7 +147,9 @@ class Row(NamedTuple):
 def row_of(plan: Plan, members: Mapping[str, Bytes], start: int, views_start: int | None) -> Row:
     """What the note says of a sample that begins at ``start`` and ``views_start`` [bytes]. Raises ``ShardError``."""
     meta = read_meta(members[META])
-    number, grade, outcome = meta["index"], meta.get("grade") or "", (meta.get("drape") or {}).get("outcome", "")
+    number, grade = meta["index"], meta.get("grade") or ""
+    outcomes = [(entry.get("drape") or {}).get("outcome", "") for entry in meta.get("outfit", [meta])]
+    outcome = next((word for word in outcomes if word != Outcome.SETTLED.name), outcomes[0])
     if number >= MOST or grade not in GRADES or outcome not in OUTCOMES:
         raise ShardError(f"index {number}, grade {found(grade)}, outcome {found(outcome)}: one is out of range")
     rejects = [] if plan.kind == BODIES.kind else list(_lines(plan, number, read_rejects(members[META])))

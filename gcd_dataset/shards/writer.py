@@ -19,7 +19,17 @@ from gcd_dataset.files import make_folder, require_name
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import Place, adding_to, lock_file, reading, unlock, writing
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.shards.layout import FAILED, GARMENTS, META, Bytes, Layout, is_picture, key_of, member_name
+from gcd_dataset.shards.layout import (
+    FAILED,
+    GARMENTS,
+    META,
+    Bytes,
+    Layout,
+    garments_in,
+    is_picture,
+    key_of,
+    member_name,
+)
 from gcd_dataset.shards.manifest import MOST as MOST_SAMPLES
 from gcd_dataset.shards.manifest import Plan, shard_name
 from gcd_dataset.shards.meta import checked_meta
@@ -256,9 +266,9 @@ class _DraftTar:
 class ShardWriter:
     """Writes a new split into a folder, in ascending order of the indices; manifest and index at the end.
 
-    ``count``: samples of the whole data set, by default those written here. ``layout``: garments or bodies. After an
-    error nothing stays. Raises ``ConfigError`` for a folder that holds the split already, ``OutputError`` for one that
-    cannot be written.
+    ``count``: samples of the whole data set, by default those written here. ``layout``: bodies, or garments,
+    with those of the largest outfit. After an error nothing stays. Raises ``ConfigError`` for a folder that holds the
+    split already, ``OutputError`` for one that cannot be written.
     """
 
     def __init__(
@@ -272,7 +282,7 @@ class ShardWriter:
         shard_size: int | None = None,
         layout: Layout = GARMENTS,
     ) -> None:
-        self._place, self._count = Place(folder), count
+        self._place, self._count, self._garments = Place(folder), count, garments_in(layout.members)
         size = (MOST if count is None else shard_size_of(count)) if shard_size is None else shard_size
         plan = Plan(layout.kind, seed, dict(recipe), 0 if count is None else count, size)
         try:
@@ -288,7 +298,7 @@ class ShardWriter:
 
     def write(self, sample: Sample) -> None:
         """Encode and add a garment. Raises as ``add`` does, and ``ShardError`` where the format cannot hold it."""
-        self.add(sample.provenance.index, encode_sample(sample))
+        self.add(sample.provenance.index, encode_sample(sample, garments=self._garments))
 
     def add(self, index: int, members: Mapping[str, Bytes]) -> None:
         """Add an encoded sample: member name to content.

@@ -11,7 +11,20 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError, GcdError
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.records import ANGLES, Body, BoxMesh, Drape, Grade, Measurements, Outcome, Pattern, Record, Sample
+from gcd_dataset.outfits import joined
+from gcd_dataset.records import (
+    ANGLES,
+    Body,
+    BoxMesh,
+    Drape,
+    Grade,
+    Measurements,
+    Outcome,
+    Outfit,
+    Pattern,
+    Record,
+    Sample,
+)
 
 Rows = tuple[tuple[str, str], ...]
 """Names and values of a table."""
@@ -31,6 +44,9 @@ class Content(Record):
     draped: Float[np.ndarray, "v 3"] | None = None
     """Positions at rest [cm], in the order of the mesh."""
     body: Body | None = None
+    layers: tuple[int, ...] = ()
+    """Number of panels of each garment of an outfit, from the skin outwards; the pattern, the mesh and the drape are
+    those of all garments."""
     values: Mapping[str, Float[np.ndarray, " v"]] = field(default_factory=dict)
     """``stretch``, the larger principal stretch, of a drape; of one with maps also ``gap`` and ``pressure``."""
     crossed: Int[np.ndarray, " n"] | None = None
@@ -70,6 +86,7 @@ def crossing_vertices(
 
 
 def _of_sample(sample: Sample, body: Body | None) -> Content:
+    outfit, sample = sample.outfit, joined(sample)
     mesh, drape = sample.box_mesh, sample.drape
     body = body or body_of(sample)
     is_finite = drape is not None and bool(np.isfinite(drape.vertices).all())
@@ -86,7 +103,9 @@ def _of_sample(sample: Sample, body: Body | None) -> Content:
         tags=sample.tags,
         outcome=None if drape is None else drape.outcome,
         grade=sample.grade,
+        layers=tuple(len(garment.pattern.panels) for garment in (outfit.garments if outfit else ())),
         tables={
+            "Outfit": tuple(_outfit_rows(outfit)) if outfit else (),
             "Outcome": tuple(_outcome_rows(sample)),
             "Measures": tuple(
                 (name, f"{value:.1f} {'°' if name in ANGLES else 'cm'}")
@@ -158,6 +177,18 @@ def _crossed(mesh: BoxMesh | None, drape: Drape | None, body: Body | None) -> In
 
 
 # -------------------------------------------------------------------------------------------------------------- tables
+
+
+def _outfit_rows(outfit: Outfit) -> Iterator[tuple[str, str]]:
+    """How each garment is worn, and how each two lie."""
+    for number, garment in enumerate(outfit.garments):
+        ways = ["tucked"] * garment.tucked + ["worn open"] * (not garment.closed)
+        drape = "" if garment.drape is None else garment.drape.outcome.name.lower().replace("_", " ")
+        fabric = "" if garment.fabric is None else garment.fabric.name
+        yield f"garment {number}", ", ".join(filter(None, [garment.pattern.name, *ways, drape, fabric]))
+    for layer in outfit.layers:
+        order = f"{layer.wrong_order:.2%} of {layer.covered} covered vertices in wrong order"
+        yield f"{layer.outer} over {layer.inner}", f"{layer.crossings} crossings, {order}"
 
 
 def _outcome_rows(sample: Sample) -> Iterator[tuple[str, str]]:

@@ -24,6 +24,7 @@ from gcd_dataset.errors import (
 )
 from gcd_dataset.faults import require_valid
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern, picture_of
+from gcd_dataset.outfits import joined
 from gcd_dataset.records import EdgeRef, Pattern, Sample
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.index import GRADES
@@ -440,9 +441,10 @@ def _front(garment: Sample | Pattern, size: int, *, maps: bool = False) -> UInt8
         return draw_pattern(garment, size=size)
     if garment.front and not maps:
         return picture_of(garment.front, size)
-    mesh, drape, body = garment.box_mesh, garment.drape, body_of(garment)
+    whole, body = joined(garment), body_of(garment)
+    mesh, drape = whole.box_mesh, whole.drape
     if mesh is None or drape is None or body is None or not np.isfinite(drape.vertices).all():
-        return draw_pattern(garment.pattern, size=size)
+        return draw_pattern(whole.pattern, size=size)
     if maps and garment.maps is not None and garment.maps.is_known:
         half = size // 2
         return contact_sheet([_front(garment, half), *map_pictures(garment, size=half)], columns=2, gap=0)

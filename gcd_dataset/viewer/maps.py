@@ -9,6 +9,7 @@ from jaxtyping import Float, UInt8
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drawing import captioned, contact_sheet
 from gcd_dataset.generator.render.appearance import Print
+from gcd_dataset.outfits import apart
 from gcd_dataset.records import Sample
 from gcd_dataset.viewer.content import body_of
 
@@ -60,7 +61,7 @@ def require_maps(has_maps: bool, source: str) -> None:
 
 
 def map_pictures(sample: Sample, *, size: int, sides: Sequence[str] = ("front",)) -> list[UInt8[np.ndarray, "h w 3"]]:
-    """For each side, square pictures of a draped sample in the colours of each of ``SCALES``.
+    """For each side, square pictures of a draped sample, the first garment of an outfit, in the colours of ``SCALES``.
 
     Raises ``ConfigError`` for a sample without maps, on a body of another model, or whose drape diverged or was not
     made.
@@ -74,7 +75,7 @@ def map_pictures(sample: Sample, *, size: int, sides: Sequence[str] = ("front",)
         raise ConfigError(f"{sample.key} has no maps: {sample.drape.outcome.value}")
     if (body := body_of(sample)) is None:
         raise ConfigError(f"{sample.key} is on a body of another model: show it with --html")
-    scene = scene_of_sample(sample, body)
+    scene = scene_of_sample(apart(sample)[0], body)
     views = [plain_view(scene, side) for side in sides]
     white = tuple(replace(cloth, print=WHITE) for cloth in views[0].appearance.cloths)
     views = [replace(view, appearance=replace(view.appearance, cloths=white)) for view in views]

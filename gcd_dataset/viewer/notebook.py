@@ -20,6 +20,7 @@ from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drawing import draw_body, jpeg_bytes
 from gcd_dataset.generator.lay_plan import LayPlan
 from gcd_dataset.generator.svg import pattern_svg
+from gcd_dataset.outfits import joined
 from gcd_dataset.records import Pattern, Sample
 from gcd_dataset.shards.codec import decode_field
 from gcd_dataset.spec import pattern_from_spec
@@ -87,6 +88,7 @@ def pattern_html(pattern: Pattern) -> str:
 def sample_html(sample: Sample) -> str:
     """Front, back and pattern of a sample, with its caption, tags and outcome."""
     facts = [sample.provenance.body_name, sample.drape.outcome.name.lower().replace("_", " ") if sample.drape else ""]
+    sample = joined(sample)
     counts = f"{_count(len(sample.pattern.panels), 'panel')}, {_count(len(sample.pattern.seams), 'seam')}"
     pictures = [
         picture(encoded, f"{sample.key}, {side}", LARGE)

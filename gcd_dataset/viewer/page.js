@@ -10,7 +10,7 @@ const SHEET_ZOOM = 16; // largest magnification of the drawing
 const LAST = 2; // the last stage, also of a garment that ends at an earlier one
 const PIXELS_FOR_NUMBERS = 9; // pixels per cm from which seam numbers are legible
 
-const state = { stage: 0, body: true, colours: "panels", lit: null, pinned: null, yaw: 0, pitch: 0.06, zoom: 1, pan: [0, 0, 0] };
+const state = { stage: 0, layers: data.layers.length, body: true, colours: "panels", lit: null, pinned: null, yaw: 0, pitch: 0.06, zoom: 1, pan: [0, 0, 0] };
 
 // -------------------------------------------------------------------------------------------------------------- colours
 
@@ -124,6 +124,11 @@ function redraw() {
 function litPanels() {
   if (!state.lit) return [-1, -1];
   return state.lit.kind === "panel" ? [state.lit.number, state.lit.number] : data.seams[state.lit.number].panels;
+}
+
+/** The number of panels of the garments that are not taken off. */
+function shownPanels() {
+  return data.layers.length ? data.layers[state.layers - 1] : data.panels.length;
 }
 
 const same = (a, b) => (a && b ? a.kind === b.kind && a.number === b.number : a === b);
@@ -280,6 +285,17 @@ function setStage(stage) {
   changed();
 }
 
+/** Show the first garments of an outfit, from the skin outwards. */
+function setLayers(count) {
+  state.layers = count;
+  $("layers").value = count;
+  document.querySelectorAll("[data-layer]").forEach((button) => {
+    button.setAttribute("aria-pressed", String(Number(button.dataset.layer) === count));
+  });
+  document.body.dataset.layers = count;
+  changed();
+}
+
 let moving = 0;
 
 /** Move the slider to a stage over some time, or at once for people who asked for less motion. */
@@ -403,6 +419,13 @@ function prepareControls() {
   document.querySelectorAll("input[name=colours]").forEach((input) => {
     input.addEventListener("change", () => setColours(input.value));
   });
+  if ($("layers")) {
+    $("layers").addEventListener("input", (event) => setLayers(Number(event.target.value)));
+    document.querySelectorAll("[data-layer]").forEach((button) => {
+      button.addEventListener("click", () => setLayers(Number(button.dataset.layer)));
+    });
+    setLayers(state.layers);
+  }
   if ($("body")) {
     $("body").addEventListener("change", (event) => {
       state.body = event.target.checked;

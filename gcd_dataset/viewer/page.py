@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from html import escape
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -105,8 +106,18 @@ def _view(content: Content) -> str:
         if content.crossed is not None and len(content.crossed)
         else "the cloth crosses neither itself nor the body",
         "stops": "".join(f'<button type="button" data-stage="{i}">{name}</button>' for i, name in enumerate(stages)),
+        "layers": _layers(content) if content.layers else "",
     }
     return _filled(asset("view.html"), parts)
+
+
+def _layers(content: Content) -> str:
+    """The slider that takes off the garments of an outfit, the outermost first."""
+    count = len(content.layers)
+    stops = (f'<button type="button" data-layer="{number + 1}">garment {number}</button>' for number in range(count))
+    options = f'min="1" max="{count}" step="1" value="{count}" aria-label="Garments from the skin outwards"'
+    bar = f'<input type="range" id="layers" {options}>'
+    return f'      <div class="slider">{bar}<div class="stops">{"".join(stops)}</div></div>\n'
 
 
 def _choice(name: str) -> str:
@@ -147,6 +158,7 @@ def _data(content: Content, plan: LayPlan) -> dict[str, Any]:
         "panels": [_panel_data(piece) for piece in plan.panels],
         "seams": list(_seam_data(content.pattern)),
         "plainEdge": PLAIN_EDGE,
+        "layers": list(accumulate(content.layers)),
         "mesh": None if content.mesh is None else _mesh_data(content, content.mesh, plan),
         "body": None
         if content.body is None

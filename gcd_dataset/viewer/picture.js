@@ -10,12 +10,12 @@ const SURFACE = [
   `#version 300 es
   layout(location=0) in vec3 position; layout(location=1) in vec3 normal;
   layout(location=2) in vec3 colour; layout(location=3) in float part;
-  uniform mat4 view; uniform vec2 lit; uniform vec3 dimmed;
+  uniform mat4 view; uniform vec2 lit; uniform vec3 dimmed; uniform float shown;
   out vec3 n; out vec3 shade; out vec3 where;
   void main() {
     n = normal; where = position; shade = colour;
     if (lit.x >= 0.0) shade = part == lit.x || part == lit.y ? mix(colour, vec3(1.0), 0.06) : mix(colour, dimmed, 0.72);
-    gl_Position = view * vec4(position, 1.0);
+    gl_Position = part < shown ? view * vec4(position, 1.0) : vec4(0.0, 0.0, 2.0, 1.0); // clipped: of a garment taken off
   }`,
   `#version 300 es
   precision highp float;
@@ -41,7 +41,7 @@ const LINES = [
   layout(location=0) in vec3 start; layout(location=1) in vec3 end;
   layout(location=2) in vec3 colour; layout(location=3) in float seam; layout(location=4) in float side;
   uniform mat4 view; uniform vec3 eye; uniform vec2 pixels; uniform float width; uniform float lit; uniform vec3 accent;
-  uniform vec2 panels; uniform vec3 dimmed;
+  uniform vec2 panels; uniform vec3 dimmed; uniform float shown;
   out vec3 shade;
   vec4 project(vec3 p) { return view * vec4(p + normalize(eye - p) * (seam == lit && lit >= 0.0 ? 0.5 : 0.25), 1.0); }
   void main() {
@@ -56,7 +56,7 @@ const LINES = [
     p.xy += offset / pixels * p.w;
     shade = isLit ? accent : colour;
     if (!isLit && panels.x >= 0.0 && side != panels.x && side != panels.y) shade = mix(colour, dimmed, 0.75);
-    gl_Position = p;
+    gl_Position = side < shown ? p : vec4(0.0, 0.0, 2.0, 1.0);
   }`,
   `#version 300 es
   precision highp float;
@@ -246,7 +246,7 @@ class Picture {
       }
     };
     const key = unit(add(add(scaled(camera.back, 0.75), scaled(camera.up, 0.55)), scaled(camera.right, -0.55)));
-    const common = { view: camera.view, eye: camera.eye, key, lit: [-1, -1], dimmed: theme.dimmed };
+    const common = { view: camera.view, eye: camera.eye, key, lit: [-1, -1], dimmed: theme.dimmed, shown: shownPanels() };
     const presence = smooth(0.35, 0.95, state.stage);
 
     if (this.floor !== null) {
@@ -282,7 +282,7 @@ class Picture {
     const seam = state.lit && state.lit.kind === "seam" ? state.lit.number : -1;
     const lines = {
       view: camera.view, eye: camera.eye, pixels: [this.canvas.width / 2, this.canvas.height / 2],
-      width: 1.7 * ratio, lit: seam, accent: theme.accent, panels: lit, dimmed: theme.dimmed, opacity: 1,
+      width: 1.7 * ratio, lit: seam, accent: theme.accent, panels: lit, dimmed: theme.dimmed, opacity: 1, shown: shownPanels(),
     };
     use(this.lines, lines);
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, garment.segmentSeam.length);
@@ -324,22 +324,25 @@ class Picture {
     const { eye, back, right, up, slope, aspect } = camera;
     const sideways = scaled(right, ((2 * x) / width - 1) * slope * aspect);
     const ray = unit(add(add(scaled(back, -1), sideways), scaled(up, (1 - (2 * y) / height) * slope)));
-    const cloth = nearestHit(eye, ray, this.garment.positions, this.garment.corners);
+    const { positions, corners, panelOf } = this.garment;
+    let last = corners.length; // faces of outer garments come last
+    while (last && panelOf[corners[last - 1]] >= shownPanels()) last -= 3;
+    const cloth = nearestHit(eye, ray, positions, corners.subarray(0, last));
     const skin = this.skin && state.body && state.stage > 0.6 ? nearestHit(eye, ray, this.body.vertices, this.body.faces) : null;
     const depth = Math.min(cloth ? cloth.distance : Infinity, skin ? skin.distance : Infinity);
     const seam = this.seamAt(x, y, camera, width, height, depth);
     if (seam !== null) return { kind: "seam", number: seam };
     if (!cloth || cloth.distance > depth) return null;
-    return { kind: "panel", number: this.garment.panelOf[this.garment.corners[3 * cloth.face]] };
+    return { kind: "panel", number: panelOf[corners[3 * cloth.face]] };
   }
 
   seamAt(x, y, { eye, view }, width, height, depth) {
-    const { ends, segmentSeam } = this.garment;
+    const { ends, segments, segmentSeam, panelOf } = this.garment;
     const points = new Float32Array(4);
     let best = SEAM_REACH;
     let found = null;
     for (let s = 0; s < segmentSeam.length; s++) {
-      if (segmentSeam[s] >= data.seams.length) continue;
+      if (segmentSeam[s] >= data.seams.length || panelOf[segments[2 * s]] >= shownPanels()) continue;
       let far = 0;
       for (let side = 0; side < 2; side++) {
         const [px, py, pz] = ends.subarray(6 * s + 3 * side, 6 * s + 3 * side + 3);

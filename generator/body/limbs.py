@@ -54,6 +54,10 @@ class Limb:
         """The point of the axis at a height [cm]."""
         return self.origin + (height - self.origin[1]) / self.axis[1] * self.axis
 
+    def clad(self, cloth: Float[np.ndarray, "c 3"]) -> "Limb":
+        """The limb with points of cloth round it as skin too [cm]."""
+        return _tube(np.concatenate([self.skin, cloth]), self.axis) if len(cloth) else self
+
     def section(self, low: float, high: float) -> "Limb":
         """The section between two positions along the axis [cm]; the whole limb if the section has too few points."""
         along = self.skin @ self.axis

@@ -7,7 +7,7 @@ among the wordings of a fact.
 
 from collections.abc import Mapping
 
-from gcd_dataset.captions import LEVELS, caption_text
+from gcd_dataset.captions import LEVELS
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.captions.facts import GarmentFacts, garment_facts
 from gcd_dataset.generator.captions.sentences import Said, say
@@ -15,7 +15,7 @@ from gcd_dataset.generator.garments import GarmentDesign
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["LEVELS", "GarmentFacts", "Said", "caption", "captions", "captions_text", "garment_facts", "say"]
+__all__ = ["LEVELS", "GarmentFacts", "Said", "caption", "captions", "garment_facts", "say"]
 
 
 def caption(
@@ -37,8 +37,3 @@ def captions(
     """
     said = say(garment_facts(size, design, pattern), rng(seed, index, Stage.CAPTION))
     return {level: entry.text for level, entry in said.items()}
-
-
-def captions_text(size: Measurements, design: GarmentDesign, pattern: Pattern, *, seed: int, index: int) -> str:
-    """The captions of all levels as the member ``caption.txt`` of a sample."""
-    return caption_text(captions(size, design, pattern, seed=seed, index=index))

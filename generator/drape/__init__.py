@@ -2,7 +2,7 @@
 
 from gcd_dataset.generator.device import every_device, load_kernels, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.drape import batch_capacity, drape_all, drape_batch
+from gcd_dataset.generator.drape.drape import batch_capacity, drape_all, drape_batch, drape_outfit
 from gcd_dataset.generator.drape.fabrics import (
     DEFAULT_FABRIC,
     FABRICS,
@@ -13,6 +13,7 @@ from gcd_dataset.generator.drape.fabrics import (
     draw_fabric,
     fabric_named,
 )
+from gcd_dataset.generator.drape.layers import layers_of
 from gcd_dataset.generator.drape.loading import kernels_compiled, log_drape_time, seconds_per_garment, seconds_to_drape
 from gcd_dataset.generator.drape.maps import maps_of
 
@@ -28,10 +29,12 @@ __all__ = [
     "batch_capacity",
     "drape_all",
     "drape_batch",
+    "drape_outfit",
     "draw_fabric",
     "every_device",
     "fabric_named",
     "kernels_compiled",
+    "layers_of",
     "load_kernels",
     "log_drape_time",
     "maps_of",

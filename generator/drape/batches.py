@@ -75,7 +75,7 @@ class Pass:
         if config.sewing_start:
             mesh = coarse.mesh if coarse else job.box_mesh
             known = job.start if (job.coarse is None) == (coarse is None) else None
-            mesh = replace(mesh, vertices=sewing_start(mesh, job.body) if known is None else known)
+            mesh = replace(mesh, vertices=sewing_start(mesh, job.body, job.under) if known is None else known)
             coarse, job = (replace(coarse, mesh=mesh), job) if coarse else (None, replace(job, box_mesh=mesh))
         return cls(number, job, coarse, constraints, prepared, begun_with=coarse)
 
@@ -105,7 +105,7 @@ class Pass:
         """The fine pass from the placed panels, after a coarse pass of ``frames`` frames that slid off the body."""
         fine, mesh = self.fine, self.fine.box_mesh
         if config.sewing_start:
-            fine = replace(fine, box_mesh=replace(mesh, vertices=sewing_start(mesh, fine.body)))
+            fine = replace(fine, box_mesh=replace(mesh, vertices=sewing_start(mesh, fine.body, fine.under)))
         return replace(
             self,
             fine=fine,

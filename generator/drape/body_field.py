@@ -31,6 +31,8 @@ LEAF = 1  # faces in a leaf of the BVH on a GPU: fields take a quarter less time
 CACHED = 8  # fields and skins kept for later drapes
 HOSTS_CACHED = 32  # host fields kept, 0.1 MB each
 FOREARM = 30  # part number of an arm from the elbow to the finger tips; no value of ``BodyPart``
+ARMS = 1 << FOREARM | sum(1 << part.value for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS))
+"""Bit set of the parts of arms."""
 ELBOW = 0.42  # share of the way from the shoulder to the finger tips
 TOES = 4.0  # cm above the sole
 CRANIUM = 0.7  # share of the head's height, from the top down to the mouth: contains the ears
@@ -77,6 +79,12 @@ class BodyField:
     """The closed skin without internal faces [cm]."""
     edges: wp.array
     """(e) vertices of ``mesh`` at the ends of each edge of the skin; without edges of the lids."""
+    face_parts: wp.array
+    """(g) the part of each face of ``mesh``, see ``HostField.parts``."""
+    worn: tuple[tuple[wp.Mesh, wp.array], ...] = ()
+    """The garments on the body, each as a mesh and the vertices at the ends of its edges; see ``dressed``."""
+    worn_ids: wp.array | None = None
+    """The identifiers of the meshes of ``worn``."""
 
 
 def body_field(body: Body, device: str) -> BodyField:
@@ -250,6 +258,11 @@ def closed_skin(body: Body) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "
     return known.skin.points(body.vertices), known.triangles
 
 
+def skin_parts(body: Body) -> UInt8[np.ndarray, " g"]:
+    """``BodyPart`` of each face of ``closed_skin``."""
+    return _skin(_digests(body)[0], body).skin.parts
+
+
 def _edges_without_lids(skin: VisibleSkin) -> Int[np.ndarray, "e 2"]:
     """Edges between vertices of the body; each lid adds one vertex, numbered after the body's."""
     sides, _ = half_edges_of(skin.faces)
@@ -288,7 +301,8 @@ def _make_fields(given: Sequence[tuple[Body, HostField]], device: str) -> list[B
         entry.part = wp.zeros(host.shape, dtype=wp.uint8, device=device)
         voxels.append(entry)
         x, y, z = host.low.tolist()
-        made.append(BodyField(entry.distance, entry.part, (x, y, z), CELL, host.axes, mesh, edges[id(one)]))
+        arrays = entry.distance, entry.part
+        made.append(BodyField(*arrays, (x, y, z), CELL, host.axes, mesh, edges[id(one)], entry.face_parts))
     bodies = wp.array(voxels, dtype=Voxels, device=device)
     most_blocks = max(entry.blocks.size for entry in voxels)
     for kernel, threads in ((measure_blocks, most_blocks), (fill_fields, most_blocks * int(BLOCK) ** 3)):

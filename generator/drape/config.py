@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from gcd_dataset.errors import ConfigError, DrapeError
 from gcd_dataset.generator.drape.fabrics import STIFFEST, Fabric
+from gcd_dataset.generator.dressing.worn import WornCloth
 from gcd_dataset.generator.mesh import CoarseMesh
 from gcd_dataset.records import Body, BoxMesh, Measurements
 
@@ -120,6 +121,11 @@ class DrapeJob:
     start: Float[np.ndarray, "v 3"] | None = None
     """Start positions by ``dressing.sewing_start`` [cm], of ``coarse`` if given, otherwise of ``box_mesh``; None: the
     drape computes them."""
+    tucked_below: float = -np.inf
+    """Height below which the cloth is tucked into another garment, and stays near the skin [cm]."""
+    under: tuple[WornCloth, ...] = ()
+    """The garments on the body under this one, from the skin outwards: this one drapes over them, and they stay as they
+    are. Its crossings with them count as crossings with the body."""
 
     def __post_init__(self) -> None:
         mesh = self.coarse.mesh if self.coarse else self.box_mesh
@@ -133,6 +139,8 @@ class DrapeJob:
     def require_drapeable(self) -> None:
         """Raise ``DrapeError`` for a mesh or body without faces, or with indices beyond its vertices."""
         mesh, body = self.box_mesh, self.body
+        if not all(np.isfinite(cloth.vertices).all() for cloth in self.under):
+            raise DrapeError("a garment under it has a vertex that is not a number: drape that garment first")
         if not len(mesh.faces):
             raise DrapeError("a garment has no faces: build its box mesh from a pattern with panels")
         if not len(body.faces) or not np.isfinite(body.vertices).all():

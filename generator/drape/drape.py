@@ -4,16 +4,18 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 import warp as wp
 
-from gcd_dataset.errors import DrapeError
+from gcd_dataset.errors import ConfigError, DrapeError
 from gcd_dataset.generator.device import cores, resolve_device
 from gcd_dataset.generator.drape.batches import PreparedJob, drape_unordered
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.loading import load_drape
+from gcd_dataset.generator.dressing.worn import WornCloth
 from gcd_dataset.records import Drape, Outcome
 
 Made = TypeVar("Made")
@@ -57,6 +59,32 @@ def drape_all(
     yield from refused.values()
 
 
+def drape_outfit(jobs: Sequence[DrapeJob], config: DrapeConfig = DEFAULT, *, device: str = "auto") -> tuple[Drape, ...]:
+    """One ``Drape`` for each garment of an outfit on one body; ``jobs``: from the skin outwards.
+
+    Each garment drapes over those before it, which stay as they are. A garment over one that did not settle is
+    ``REFUSED``. Raises ``ConfigError`` for jobs with different bodies, and for an unknown device.
+    """
+    drapes: list[Drape] = []
+    for number, job in enumerate(jobs):
+        if job.body is not jobs[0].body:
+            raise ConfigError(
+                f"drape_outfit: garment {number} is for body {job.body.name}, garment 0 for {jobs[0].body.name}: give "
+                "all jobs of an outfit one Body object"
+            )
+        failed = next((k for k, drape in enumerate(drapes) if drape.outcome is not Outcome.SETTLED), None)
+        if failed is not None:
+            drapes.append(_refused(job, f"garment {failed} under it is {drapes[failed].outcome.name}"))
+            continue
+        worn = [WornCloth.of(under.box_mesh, drape.vertices) for under, drape in zip(jobs, drapes, strict=False)]
+        drapes += drape_batch([replace(job, under=tuple(worn))], config, device=device)
+    return tuple(drapes)
+
+
+def _refused(job: DrapeJob, reason: str) -> Drape:
+    return Drape(np.array(job.box_mesh.vertices, np.float32), Outcome.REFUSED, 0, 0, 0, np.nan, np.nan, reason=reason)
+
+
 def _on_gpu(jobs: Iterable[DrapeJob], config: DrapeConfig, device: str, at_once: int) -> Iterator[Drape]:
     finished: dict[int, Drape] = {}
     next_number = 0
@@ -95,8 +123,7 @@ def _checked(jobs: Iterable[DrapeJob], device: str, refused: dict[int, Drape]) -
         try:
             job.require_drapeable()
         except DrapeError as error:
-            vertices = np.array(job.box_mesh.vertices, np.float32)
-            refused[number] = Drape(vertices, Outcome.REFUSED, 0, 0, 0, np.nan, np.nan, reason=str(error))
+            refused[number] = _refused(job, str(error))
             continue
         if number == len(refused):
             load_drape(device)

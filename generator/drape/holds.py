@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components
 
-from gcd_dataset.generator.drape.body_field import AXES, FOREARM
+from gcd_dataset.generator.drape.body_field import ARMS, AXES, FOREARM
 from gcd_dataset.generator.drape.config import DrapeJob
-from gcd_dataset.records import BodyPart, BoxMesh, EdgeRole, Measurements, PanelRole
+from gcd_dataset.records import BoxMesh, EdgeRole, Measurements, PanelRole
 from gcd_dataset.spec import is_trouser_leg
 
 NECKLINE = frozenset({EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR})
@@ -182,14 +182,13 @@ def ignored_parts(mesh: BoxMesh, panel_of_row: Int[np.ndarray, " c"]) -> Int[np.
     """
     labels = np.array(mesh.panel_labels)
     on_leg, on_arm = labels == PanelRole.LEG, labels == PanelRole.ARM
-    forearms = 1 << FOREARM
-    arms = forearms | sum(1 << part.value for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS))
     touched = np.zeros(len(mesh.vertices), bool)
     touched[mesh.uv_vertex[on_arm[panel_of_row]]] = True
     sewn_to_arm = np.bincount(panel_of_row, touched[mesh.uv_vertex], minlength=len(labels)) > 0
     above_legs = ~on_leg & ~on_arm & on_leg.any() & ~sewn_to_arm
-    ignored = np.full(len(mesh.vertices), arms)
-    np.bitwise_and.at(ignored, mesh.uv_vertex, np.where(on_leg, arms, np.where(above_legs, forearms, 0))[panel_of_row])
+    ignored = np.full(len(mesh.vertices), ARMS)
+    forearms = np.where(above_legs, 1 << FOREARM, 0)
+    np.bitwise_and.at(ignored, mesh.uv_vertex, np.where(on_leg, ARMS, forearms)[panel_of_row])
     return ignored
 
 

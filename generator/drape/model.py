@@ -14,6 +14,7 @@ import warp as wp
 from gcd_dataset.generator.device import to_host
 from gcd_dataset.generator.drape.body_field import AXES, BodyField, HostField, body_fields
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
+from gcd_dataset.generator.drape.dressed import dressed
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, NOT_COUNTED
@@ -35,6 +36,8 @@ UNTANGLING = 24000.0  # cm/s², acceleration that shortens intersection contours
 PULLING = 12000.0  # cm/s², acceleration of crossing cloth toward its own body part
 SAMPLE = 8  # medians are taken over every eighth vertex or edge
 COARSE_GAP = 2.5  # layer distance of coarse cloth, as a multiple of that of fine cloth
+TUCK = 3.0  # layers of a flat fold: spare cloth that is tucked in lies so thick on the skin
+WORN_GAP = 0.125  # of the edge length: a chord as long as the radius of a fold cuts so deep into it, 1 - cos(30°)
 INERTIA_GAIN = 4.0  # inertia over mass at the median vertex: added inertia allows a longer time step
 
 
@@ -107,7 +110,11 @@ def build_model(
     steps = np.sqrt(SAFETY * STABLE * INERTIA_GAIN * np.array(ratios))
     cloth = _cloth(constraints, config, topology, _inertia(topology, steps, device), device)
     # After the reads and large copies above: those would wait until the fields are filled.
-    bodies = body_fields([job.body for job in jobs], device, fields)
+    naked = body_fields([job.body for job in jobs], device, fields)
+    gaps = [WORN_GAP * float(length) for length in lengths]
+    bodies = [
+        dressed(body, job.under, gap) if job.under else body for body, job, gap in zip(naked, jobs, gaps, strict=True)
+    ]
     times = sewing_times or [config.sewing_time] * len(jobs)
     worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0, times[k]) for k, job in enumerate(jobs)]
     for k, (world, median) in enumerate(zip(worlds, medians, strict=True)):
@@ -115,13 +122,15 @@ def build_model(
         world.max_frames = config.max_frames // 2 if k in coarse else config.max_frames
         _add_garment(world, config, float(steps[k]), float(lengths[k]), vertices[k])
         world.room = world.size * (rooms[k] if rooms else 1)
-    for world, body, each in zip(worlds, bodies, constraints, strict=True):
+    for world, body, each, gap in zip(worlds, bodies, constraints, gaps, strict=True):
         world.keepers, world.lowest, world.floor = len(each.keepers), each.lowest, each.floor_height
         world.holds = each.held if config.holds else 0
         world.field, world.field_parts = body.distance.flatten(), body.part.flatten()
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)
         world.field_cell = body.cell
+        if body.worn_ids is not None:
+            world.worn, world.worn_gap = body.worn_ids, gap
     cloth.axes = wp.array(np.concatenate([body.axes for body in bodies]), dtype=wp.vec3, device=device)
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
     face_world = np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset))
@@ -243,6 +252,7 @@ def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float, sewing_time: f
     world.pulling = PULLING if config.pull_to_parts else 0.0
     world.thickness = gap_factor * max(job.fabric.thickness, config.layer_gap)
     world.body_gap = config.body_gap
+    world.tucked_below, world.tuck = job.tucked_below, config.body_gap + TUCK * world.thickness
     world.margin = max(config.contact_margin, 1.5 * world.thickness)
     world.travel = 0.4 * (world.margin - world.thickness)
     return world

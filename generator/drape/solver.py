@@ -102,7 +102,7 @@ class Solver:
         m, s = self.model, self.state
         pierced = self.counted(BODY_THROUGH, chosen)
         through, height = wp.zeros_like(s.search.listed), wp.zeros(m.n_vertices, dtype=float, device=m.device)
-        edges, most_edges = self._body_edges()
+        skins, most_edges = self._skin_edges()
         allowed, start, moved = wp.empty(m.n_vertices, dtype=float, device=m.device), wp.clone(s.x), wp.empty_like(s.x)
         self.launch(finish.reset_allowed_moves, m.n_vertices, [m.worlds, m.cloth], [allowed])
         wp.copy(s.search.searching, chosen)
@@ -110,11 +110,11 @@ class Solver:
         threads = 1 if m.device == "cpu" else 256
         self.launch(finish.bound_moves, (m.n_worlds, threads), [m.worlds, s.contacts, threads, chosen, s.x], [allowed])
         for _ in range(FINISHING_ROUNDS):
-            self.launch(finish.mark_body_crossings, m.n_edges, [m.cloth, chosen, s.x], [through])
+            self.launch(finish.mark_body_crossings, m.n_edges, [m.worlds, m.cloth, chosen, s.x], [through])
             height.zero_()
             bvh, roots = self.refitted_bvh()
-            inputs = [m.cloth, edges, bvh, roots, pierced, s.x]
-            self.launch(finish.measure_pierced_faces, (m.n_worlds, most_edges), inputs, [through, height])
+            inputs = [m.cloth, skins, bvh, roots, pierced, s.x]
+            self.launch(finish.measure_pierced_faces, (len(skins), most_edges), inputs, [through, height])
             inputs = [m.worlds, m.cloth, chosen, through, height, allowed, start, s.x]
             self.launch(finish.leave_skin, m.n_vertices, inputs, [moved])
             wp.copy(s.x, moved)
@@ -139,29 +139,29 @@ class Solver:
     def counted(self, kernel: wp.Kernel, chosen: wp.array) -> wp.array:
         """(w) what one of ``CROSSING_COUNTS`` counts in the worlds marked in ``chosen`` (w), on the device."""
         m = self.model
-        inputs: list[Any] = [m.cloth]
+        inputs: list[Any] = [m.worlds, m.cloth] if kernel is BODY_CROSSINGS else [m.cloth]
         dim: int | tuple[int, int] = m.n_edges
         if kernel is BODY_THROUGH:
-            skins, most_edges = self._body_edges()
-            inputs, dim = [*inputs, skins], (m.n_worlds, most_edges)
+            skins, most_edges = self._skin_edges()
+            inputs, dim = [*inputs, skins], (len(skins), most_edges)
         if kernel is not BODY_CROSSINGS:
             inputs += self.refitted_bvh()
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
         self.launch(kernel, dim, [*inputs, chosen, self.state.x], [counts])
         return counts
 
-    def _body_edges(self) -> tuple[wp.array, int]:
-        """(w) the edges of each world's skin, and the largest number of them."""
+    def _skin_edges(self) -> tuple[wp.array, int]:
+        """The edges of each world's skin and of the garments worn on it, and the largest number of them."""
         if self._skins is not None:
             return self._skins
         skins = []
-        for body in self.model.bodies:
-            skin = crossing.BodyEdges()
-            if body is not None:
-                skin.mesh, skin.ends = body.mesh.id, body.edges
-            skins.append(skin)
-        longest = max(len(body.edges) for body in self.model.bodies if body is not None)
-        self._skins = wp.array(skins, dtype=crossing.BodyEdges, device=self.model.device), longest
+        for w, body in enumerate(self.model.bodies):
+            for mesh, ends in ((body.mesh, body.edges), *body.worn) if body else ():
+                skin = crossing.SkinEdges()
+                skin.world, skin.mesh, skin.ends = w, mesh.id, ends
+                skins.append(skin)
+        longest = max(len(skin.ends) for skin in skins)
+        self._skins = wp.array(skins, dtype=crossing.SkinEdges, device=self.model.device), longest
         return self._skins
 
     def stretches(self) -> wp.array:

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, Protocol, Self, TypeVar, Union
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 
 from gcd_dataset.generator.views import RenderedView, ViewRequest, finished_view, requested_scene, requested_views
-from gcd_dataset.records import Drape, Maps
+from gcd_dataset.outfits import joined_mesh
+from gcd_dataset.records import BoxMesh, Drape, Maps, WornGarment
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
@@ -31,8 +32,19 @@ class DrapeRequest:
     """The drawn views to take, if any."""
     maps: bool = False
     """Whether to compute ``DrapeReply.maps``."""
+    under: tuple[WornGarment, ...] = ()
+    """The garments of ``job.under`` that the pictures show too."""
     prepared: "PreparedJob | None" = None
     """The job with its host data, made by a sender in another process."""
+
+    def shown(self, drape: Drape) -> tuple[BoxMesh, Float32[np.ndarray, "v 3"]]:
+        """Mesh and vertices of the draped garment and those under it, for pictures."""
+        if not self.under:
+            return self.job.box_mesh, drape.vertices
+        worn = [(one.box_mesh, one.drape.vertices) for one in self.under if one.box_mesh and one.drape]
+        seams = [len(one.pattern.seams) for one in self.under]
+        meshes = [*(mesh for mesh, _ in worn), self.job.box_mesh]
+        return joined_mesh(meshes, [*seams, 0]), np.concatenate([*(own for _, own in worn), drape.vertices])
 
 
 @dataclass(frozen=True)
@@ -81,8 +93,8 @@ def make_reply(request: DrapeRequest, drape: Drape, device: str, *, seconds: flo
     if request.picture:
         from gcd_dataset.generator.render import render_garment
 
-        mesh, body = request.job.box_mesh, request.job.body
-        pictures = render_garment(drape.vertices, mesh, body, size=request.picture, device=device)
+        mesh, vertices = request.shown(drape)
+        pictures = render_garment(vertices, mesh, request.job.body, size=request.picture, device=device)
     maps = None
     if request.maps:
         from gcd_dataset.generator.drape import maps_of
@@ -94,7 +106,7 @@ def make_reply(request: DrapeRequest, drape: Drape, device: str, *, seconds: flo
 def _views(request: DrapeRequest, drape: Drape, device: str) -> tuple[RenderedView, ...]:
     """The drawn views that a request asks for."""
     asked = request.views
-    scene = None if asked is None else requested_scene(asked, request.job.box_mesh, drape.vertices)
+    scene = None if asked is None else requested_scene(asked, *request.shown(drape))
     if asked is None or scene is None:
         return ()
     from gcd_dataset.generator.render import render
@@ -120,6 +132,8 @@ class DrapeWork(Generic[Made]):
     """The drawn views of each job; empty for none."""
     maps: bool = False
     """Whether to compute the maps of the drapes."""
+    under: Sequence[tuple[WornGarment, ...]] = ()
+    """The garments under each job, for its pictures; empty for none."""
 
 
 def in_order(work: Iterable[DrapeWork[Made]], draper: Draper | None, *, ahead: int, at_once: int) -> Iterator[Made]:
@@ -206,7 +220,8 @@ class _Dispatcher:
             assert self._draper is not None
             self._job_of[self._next_number] = task, number
             views = task.work.views[number] if task.work.views else None
-            request = DrapeRequest(self._next_number, job, task.work.picture, retry, views, task.work.maps)
+            under = task.work.under[number] if task.work.under else ()
+            request = DrapeRequest(self._next_number, job, task.work.picture, retry, views, task.work.maps, under)
             self._draper.send(request)
             self._next_number += 1
         self._finish(task)

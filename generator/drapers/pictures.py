@@ -88,7 +88,8 @@ class _Renderings:
         self._plain: PendingPictures | None = None
         self._maps = PendingMaps([(p.request.job, p.drape) for p in batch], device) if batch[0].request.maps else None
         if size := batch[0].request.picture:
-            scenes = [garment_scene(p.drape.vertices, p.request.job.box_mesh, p.request.job.body) for p in batch]
+            shown = [(p.request.shown(p.drape), p.request.job.body) for p in batch]
+            scenes = [garment_scene(vertices, mesh, body) for (mesh, vertices), body in shown]
             self._plain = start_plain(scenes, size=size, device=device)
         self._scenes: list[Scene] = []
         self._views: list[list[View]] = [[] for _ in batch]
@@ -125,7 +126,7 @@ class _Renderings:
         for garment, pending in enumerate(self._batch):
             asked = pending.request.views
             assert asked is not None
-            scene = requested_scene(asked, pending.request.job.box_mesh, pending.drape.vertices)
+            scene = requested_scene(asked, *pending.request.shown(pending.drape))
             self._views[garment] = requested_views(asked, scene, row=len(self._scenes))
             if scene is not None:
                 self._scenes.append(scene)

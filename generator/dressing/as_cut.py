@@ -7,7 +7,7 @@ from gcd_dataset.generator.body.limbs import FRONT, Limb, along_arm, limbs_of
 from gcd_dataset.generator.body.section import unit
 from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
 from gcd_dataset.generator.dressing.frame import WAISTBANDS
-from gcd_dataset.generator.dressing.sewing_start import on_side
+from gcd_dataset.generator.dressing.worn import on_side
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, Measurements, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
 

@@ -13,6 +13,8 @@ While the seams close, the rest lengths of the springs change from the start len
 the cloth.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull
@@ -21,6 +23,7 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb, roll_round_limb
+from gcd_dataset.generator.dressing.worn import WornCloth, on_side
 from gcd_dataset.generator.mesh.rows import distinct
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, PanelRole
 from gcd_dataset.spec import is_trouser_leg
@@ -40,8 +43,11 @@ LEGS = (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG, BodyPart.FEET)
 SLICE = 2.0  # cm, height of the slices in which the widths of bodice and room are compared
 
 
-def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
-    """The start positions of a garment's vertices on a body [cm]: ``mesh.vertices`` except in the cases above."""
+def sewing_start(mesh: BoxMesh, body: Body, under: Sequence[WornCloth] = ()) -> Float[np.ndarray, "v 3"]:
+    """The start positions of a garment's vertices on a body [cm]: ``mesh.vertices`` except in the cases above.
+
+    ``under``: the garments on the body, over which this one is put on.
+    """
     roles = np.array([str(role) for role in mesh.panel_labels])
     trousers = np.array([is_trouser_leg(name) for name in mesh.panel_names])
     skirts = (roles == PanelRole.LEG) & ~trousers
@@ -51,7 +57,7 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     if not (skirts.any() or bodice or sleeves or trousers.any()):
         return mesh.vertices
     try:
-        limbs = limbs_of(body)
+        limbs = {part: _over(limb, part, under) for part, limb in limbs_of(body).items()}
     except BodyError:  # a body without a trunk, such as a ball
         return mesh.vertices
     placed = np.array(mesh.vertices, float)
@@ -68,14 +74,14 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
             put_on_limb(mesh, sleeve, arm, placed)
         _keep_beside_trunk(mesh, sleeve, arm, side, limbs[BodyPart.TRUNK], placed)
     if trousers.any():
-        _put_on_legs(mesh, trousers, body, placed)
+        _put_on_legs(mesh, trousers, body, under, placed)
     return placed
 
 
-def on_side(mesh: BoxMesh, panels: Bool[np.ndarray, " p"], side: float) -> Bool[np.ndarray, " f"]:
-    """The faces of those panels that lie to the left (1) or to the right (-1); a panel may reach past the middle."""
-    x = np.bincount(mesh.panel_id, mesh.vertices[mesh.faces, 0].sum(axis=1), minlength=len(panels))
-    return (panels & (side * x > 0.0))[mesh.panel_id]
+def _over(limb: Limb, part: BodyPart, under: Sequence[WornCloth]) -> Limb:
+    """A limb with the cloth on it as its skin; that on the legs belongs to the trunk too."""
+    parts = [each.value for each in (LEGS[:2] if part is BodyPart.TRUNK else ())] + [part.value]
+    return limb.clad(np.concatenate([np.zeros((0, 3)), *(c.vertices[np.isin(c.parts, parts)] for c in under)]))
 
 
 def _keep_beside_trunk(
@@ -109,7 +115,13 @@ def _keep_beside_trunk(
     placed[rows[moved], 0] = side * (fixed - scale * (fixed - x[moved]))
 
 
-def _put_on_legs(mesh: BoxMesh, trousers: Bool[np.ndarray, " p"], body: Body, placed: Float[np.ndarray, "v 3"]) -> None:
+def _put_on_legs(
+    mesh: BoxMesh,
+    trousers: Bool[np.ndarray, " p"],
+    body: Body,
+    under: Sequence[WornCloth],
+    placed: Float[np.ndarray, "v 3"],
+) -> None:
     """Put trouser legs, below the crotch, on the legs, in ``placed``.
 
     The crotch is the lowest point at which both trouser legs meet.
@@ -125,7 +137,7 @@ def _put_on_legs(mesh: BoxMesh, trousers: Bool[np.ndarray, " p"], body: Body, pl
     for part, side, faces_of_side in zip(LEGS[:2], (1.0, -1.0), sides, strict=True):
         below = faces_of_side & (y < crotch)
         if (leg := leg_of(body, part)) is not None:
-            put_on_limb(mesh, below, leg, placed, gap=LEG_GAP, loose=LOOSE_HEM)
+            put_on_limb(mesh, below, _over(leg, part, under), placed, gap=LEG_GAP, loose=LOOSE_HEM)
             if below.any() and abs(leg.axis[1]) > UPRIGHT:
                 _keep_off_the_other_leg(distinct(mesh.faces[below], len(placed)), leg, side, placed)
 

@@ -231,22 +231,28 @@ class AppearanceRanges:
 
 
 def draw_appearance(
-    rng: np.random.Generator, scene: Scene, *, fabric: str | None = None, ranges: AppearanceRanges | None = None
+    rng: np.random.Generator,
+    scene: Scene,
+    *,
+    fabric: str | Sequence[str | None] | None = None,
+    ranges: AppearanceRanges | None = None,
 ) -> Appearance:
     """Materials of a scene: cloth by the name of its fabric (any cloth without one), a print, skin and hair.
 
-    The upper part and the bottom each have a cloth of their own; some have a second for their trim or sleeves. Raises
-    ``ConfigError`` for ranges that leave nothing to draw from.
+    The upper part and the bottom each have a cloth of their own; some have a second for their trim or sleeves.
+    ``fabric``: of the garment, or of each panel of an outfit. Raises ``ConfigError`` for ranges that leave nothing to
+    draw from.
     """
     ranges = ranges or AppearanceRanges()
-    names = ranges.looks or looks_of(fabric)
-    _check(ranges, names)
+    fabrics = [fabric] * len(scene.panel_names) if fabric is None or isinstance(fabric, str) else fabric
+    _check(ranges)
     skin, hair, eyes, underwear = _draw_figure(rng, ranges)
     garment, part = parts_of(scene)
     cloths: list[ClothLook] = []
     cloth_of_panel = np.zeros(len(scene.panel_names), int)
     for number in range(int(garment.max(initial=-1)) + 1):
         own = garment == number
+        names = ranges.looks or looks_of(fabrics[int(own.argmax())])
         cloth_of_panel[own] = len(cloths)
         cloths.append(_draw_cloth(rng, names, ranges))
         second, other = rng.random() < ranges.parts, _draw_cloth(rng, names, ranges)
@@ -307,8 +313,8 @@ FILLS = {PrintKind.DOTS: (0.2, 0.65), PrintKind.FLORAL: (0.5, 0.95)}
 """Ranges of ``Print.fill``, where they are not those of stripes."""
 
 
-def _check(ranges: AppearanceRanges, names: tuple[str, ...]) -> None:
-    unknown = [name for name in names if name not in LOOKS]
+def _check(ranges: AppearanceRanges) -> None:
+    unknown = [name for name in ranges.looks if name not in LOOKS]
     if unknown:
         raise ConfigError(f"unknown looks {', '.join(unknown)}: choose from {', '.join(LOOKS)}")
     if not ranges.tones or not all(1 <= tone <= len(MONK_TONES) for tone in ranges.tones):

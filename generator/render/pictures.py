@@ -4,7 +4,7 @@ Conventions are OpenCV's: camera axes x right, y down, z forward; a point X [cm]
 centre of the upper left pixel is (0, 0), so that a picture of size n covers -0.5 … n - 0.5.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
@@ -126,12 +126,12 @@ def draw_views(
     *,
     epoch: int = 0,
     row: int = 0,
-    fabric: str | None = None,
+    fabric: str | Sequence[str | None] | None = None,
     ranges: Ranges | None = None,
 ) -> list[View]:
     """``n`` views of sample ``index`` in one appearance; view k is the same for every ``n`` above k.
 
-    ``row`` is the scene's row in the list to be rendered.
+    ``row`` is the scene's row in the list to be rendered; ``fabric`` as for ``draw_appearance``.
     """
     ranges = ranges or Ranges()
     appearance = draw_appearance(

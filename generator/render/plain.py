@@ -15,6 +15,7 @@ from gcd_dataset.generator.render.casting import PendingPictures
 from gcd_dataset.generator.render.environment import Environment, EnvironmentKind, Lights
 from gcd_dataset.generator.render.pictures import PlainView
 from gcd_dataset.generator.render.scene import Scene, figure_scene, scene_of
+from gcd_dataset.outfits import joined
 from gcd_dataset.records import Body, BoxMesh, Sample
 
 SIDES = ("front", "back")
@@ -63,7 +64,11 @@ def render_garment(
 
 
 def render_sample(sample: Sample, body: Body, *, size: int = 512, device: str = "auto") -> tuple[bytes, bytes]:
-    """JPEGs of a draped sample on its body, front and back. Raises ``ConfigError`` for a sample without a drape."""
+    """JPEGs of a draped sample on its body, front and back, with all garments of an outfit.
+
+    Raises ``ConfigError`` for a sample without a drape.
+    """
+    sample = joined(sample)
     if sample.box_mesh is None or sample.drape is None:
         raise ConfigError(f"{sample.key} is not draped: make it with stage drape to render it")
     front, back = render_garment(sample.drape.vertices, sample.box_mesh, body, size=size, device=device)

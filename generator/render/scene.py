@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int, Int32, UInt8
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.outfits import joined
 from gcd_dataset.records import NO_MESH, Body, BoxMesh, PanelRole, Pattern, Record, Sample
 
 
@@ -129,7 +130,11 @@ def figure_scene(body: Body) -> Scene:
 
 
 def scene_of_sample(sample: Sample, body: Body, *, hair: HairStyle = HairStyle.NONE) -> Scene:
-    """The scene of a draped sample on its body. Raises ``ConfigError`` for a sample without a drape."""
+    """The scene of a draped sample, all garments of an outfit, on its body.
+
+    Raises ``ConfigError`` for a sample without a drape.
+    """
+    sample = joined(sample)
     if sample.box_mesh is None or sample.drape is None:
         raise ConfigError(f"{sample.key} is not draped: make it with stage drape to render it")
     scene = scene_of(sample.box_mesh, sample.drape.vertices, body, pattern=sample.pattern, hair=hair)

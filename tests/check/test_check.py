@@ -22,13 +22,15 @@ from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making.run import index
-from gcd_dataset.records import BodyShape, Closure, Outcome, Pattern, Sample
+from gcd_dataset.records import BodyShape, Closure, Grade, Layer, Outcome, Pattern, Sample
 from gcd_dataset.release.bodies import FOLDER, KINDS
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
 from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.hdf5 import write_hdf5
+from gcd_dataset.shards.layout import garments_layout
 from gcd_dataset.shards.tar import END, tar_entry
 from tests.release import published
+from tests.shards.folders import fake_outfit
 from tests.shards.people import fill
 from tests.shards.test_codec import with_maps
 from tests.shards.test_integrity import resealed, shard_of
@@ -43,10 +45,13 @@ def good() -> tuple[Sample, ...]:
     return tuple(fake_sample(0, index) for index in range(TRAIN + TEST))
 
 
-def written(folder: Path, train: Sequence[Sample], test: Sequence[Sample] = (), *, shard_size: int = 100) -> Path:
+def written(
+    folder: Path, train: Sequence[Sample], test: Sequence[Sample] = (), *, shard_size: int = 100, garments: int = 1
+) -> Path:
+    options: dict[str, Any] = {"recipe": {"fake": True}, "layout": garments_layout(garments=garments)}
     for split, samples in {"train": train, "test": test}.items():
         if samples:
-            with ShardWriter(folder, split=split, seed=0, recipe={"fake": True}, shard_size=shard_size) as writer:
+            with ShardWriter(folder, split=split, seed=0, shard_size=shard_size, **options) as writer:
                 for sample in samples:
                     writer.write(sample)
     return folder
@@ -526,6 +531,50 @@ def test_an_hdf5_file_is_examined_as_its_shards(tmp_path: Path) -> None:
     report = examine(tmp_path / "train.h5")
     assert names(report) == {"nan"}
     assert report.finding("nan").examples == ("gcd_000000005",)  # type: ignore[union-attr]
+
+
+def test_faults_of_further_garments_and_of_layers_are_found(tmp_path: Path) -> None:
+    """In a set of outfits each with one fault; the last has none."""
+    outfits, faulty = [fake_outfit(index, 2) for index in range(7)], list[Sample]()
+    for edit in (not_a_number, in_metres, None):
+        sample = outfits[len(faulty)]
+        assert sample.outfit is not None
+        inner, outer = sample.outfit.garments
+        if edit is not None:
+            broken = edit(replace(sample, box_mesh=outer.box_mesh, drape=outer.drape))
+            outer = replace(outer, box_mesh=broken.box_mesh, drape=broken.drape)
+        faulty.append(replace(sample, outfit=replace(sample.outfit, garments=(inner, outer))))
+    for layers in ((), (Layer(0, 1, 0, 5000, 0.0),), (Layer(0, 1, 0, 5, 1.5),)):
+        sample = outfits[len(faulty)]
+        assert sample.outfit is not None
+        faulty.append(replace(sample, outfit=replace(sample.outfit, layers=layers)))
+    faulty.append(replace(outfits[6], grade=Grade.CLEAN))
+    report = examine(written(tmp_path, [*faulty, fake_sample(0, 7)], garments=3))
+    found = {finding.check.name: (dict(finding.details), finding.examples) for finding in report.harmful}
+    beyond, missing = (
+        "meta[layers] holds a share above 1, or counts more vertices than there are",
+        "meta[layers] has not one row",
+    )
+    assert found.pop("nan") == ({"garment 1 of the outfit: verts": 1}, ("gcd_000000000",))
+    assert found.pop("units") == ({"garment 1 of the outfit: vertices in metres": 1}, ("gcd_000000001",))
+    details, examples = found.pop("references")
+    clean = "meta[grade] is clean, and garments cross or lie in wrong order"
+    assert (details.pop(beyond), details.pop(clean)) == (2, 1)
+    assert {text[: len(missing)]: count for text, count in details.items()} == {missing: 1}
+    assert (examples, found) == (tuple(f"gcd_{index:09d}" for index in range(3, 7)), {})
+
+
+def test_outfits_that_share_one_garment_are_no_duplicates(tmp_path: Path) -> None:
+    """Four skirts, each also under another one; the last outfit is there twice."""
+    outfits = [fake_outfit(index % 4, 1 + index // 4) for index in range(8)]
+    numbered = [*outfits, outfits[-1]]
+    samples = [
+        replace(sample, key=f"gcd_{index:09d}", provenance=replace(sample.provenance, index=index))
+        for index, sample in enumerate(numbered)
+    ]
+    report = examine(written(tmp_path, samples, garments=2))
+    [finding] = [finding for finding in report.findings if finding.check is checks.DUPLICATES]
+    assert finding.examples == ("gcd_000000008 as gcd_000000007",)
 
 
 def test_patterns_alone_have_few_fields_and_no_fault(tmp_path: Path) -> None:

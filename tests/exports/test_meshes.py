@@ -5,6 +5,7 @@ import struct
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,11 @@ from gcd_dataset import exports
 from gcd_dataset.errors import ConfigError, ExtraMissing, ShardError
 from gcd_dataset.exports.meshes import seam_vertices, smooth_normals, texture_coordinates
 from gcd_dataset.generator.body import build_body
+from gcd_dataset.outfits import apart
 from gcd_dataset.records import BoxMesh, Drape, Outcome, Sample
 from tests.exports.patterns import NAMES
 from tests.helpers import patch, tube
+from tests.shards.folders import fake_outfit
 from tools.blender_import import read_facts
 
 WRITERS: dict[str, Callable[..., None]] = {
@@ -48,6 +51,34 @@ def test_a_glb_has_a_node_and_a_material_for_each_panel(worn: Sample, tmp_path: 
     body = scene.geometry["body"]
     assert worn.shape is not None
     assert body.extents == pytest.approx(np.ptp(build_body(worn.shape).vertices, axis=0) / 100, rel=1e-5)
+
+
+def test_each_garment_of_an_outfit_is_a_part_of_its_file(tmp_path: Path) -> None:
+    """A node with the panels below it, an object with its groups, a mesh of its own; all with the garment's faces."""
+    sample = replace(fake_outfit(1, 3), shape=None)
+    counts = [len(parts(one)[0].faces) for one in apart(sample)]
+    exports.glb(sample, tmp_path / "a.glb")
+    scene = trimesh.load(tmp_path / "a.glb")
+    below: dict[str, int] = {}
+    for node in scene.graph.nodes_geometry:
+        parent = scene.graph.transforms.parents[node]
+        below[parent] = below.get(parent, 0) + len(scene.geometry[scene.graph[node][1]].faces)
+    assert below == {f"garment_{number}": count for number, count in enumerate(counts)}
+    exports.obj(sample, tmp_path / "a.obj")
+    lines = (tmp_path / "a.obj").read_text().splitlines()
+    objects = [row for row, line in enumerate(lines) if line.startswith("o ")]
+    assert [lines[row] for row in objects] == ["o garment", "o garment_1", "o garment_2"]
+    faces = [sum(line.startswith("f ") for line in lines[a:b]) for a, b in pairwise([*objects, len(lines)])]
+    assert faces == counts
+    exports.ply(sample, tmp_path / "a.ply")
+    assert len(trimesh.load(tmp_path / "a.ply").faces) == sum(counts)
+    exports.usd(sample, tmp_path / "a.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    found = [prim for prim in stage.GetDefaultPrim().GetChildren() if prim.IsA(UsdGeom.Mesh)]
+    meshes = {prim.GetName(): len(UsdGeom.Mesh(prim).GetFaceVertexCountsAttr().Get()) for prim in found}
+    assert meshes == {f"garment_{number}": count for number, count in enumerate(counts)}
+    exports.dxf(sample, tmp_path / "a.dxf")
+    assert b"g2_front" in (tmp_path / "a.dxf").read_bytes()
 
 
 def renamed(sample: Sample) -> tuple[Sample, list[str]]:

@@ -20,6 +20,7 @@ from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Panel, Pattern
 from gcd_dataset.viewer.content import Content, content_of
 from gcd_dataset.viewer.page import page_of
+from tests.shards.folders import fake_outfit
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make test-extras")
 CHROMIUM = shutil.which("chromium")
@@ -398,3 +399,24 @@ def test_a_phone_shows_all_without_sideways_scrolling(browser: Any, content: Con
     assert opened.page.evaluate("document.documentElement.scrollWidth") <= 390
     assert opened.faults == []
     opened.page.context.close()
+
+
+def test_the_layers_of_an_outfit_come_off_from_the_outside(browser: Any, tmp_path: Path) -> None:
+    """What lies under a grid of points: panels of the garments that are left, and fewer cloth pixels at each step."""
+    opened = Opened(browser, content_of(replace(fake_outfit(1, 3), shape=None)), tmp_path).ready()
+    width, height = (opened.page.evaluate(f"gcdPage.picture.canvas.client{side}") for side in ("Width", "Height"))
+    points = [[x, y] for x in range(4, width, 24) for y in range(4, height, 16)]
+    found, views = [], []
+    for count in (3, 2, 1):
+        opened.page.locator(f"[data-layer='{count}']").click()
+        assert opened.page.locator("#layers").input_value() == str(count)
+        picked = opened.page.evaluate("(points) => points.map((at) => gcdPage.picture.pick(...at))", points)
+        found.append([part["number"] for part in picked if part and part["kind"] == "panel"])
+        assert all(part["number"] < 2 * count for part in picked if part)  # as many seams as panels
+        views.append(opened.view())
+    assert len(found[0]) > len(found[1]) > len(found[2]) > 0
+    blank = views[0][5, 5]
+    cloth = [(np.abs(view - blank).max(axis=2) > 40).sum() for view in views]
+    assert cloth[0] > cloth[1] > cloth[2]
+    opened.page.context.close()
+    assert opened.faults == []

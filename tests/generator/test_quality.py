@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from gcd_dataset.generator.quality import MAX_STRETCH, grade_of, principal_stretches, sample_surface, strain_of
-from gcd_dataset.records import Drape, Grade, Outcome, Strain
+from gcd_dataset.generator.quality import (
+    MAX_STRETCH,
+    grade_of,
+    grade_of_outfit,
+    principal_stretches,
+    sample_surface,
+    strain_of,
+)
+from gcd_dataset.records import Drape, Grade, Layer, Outcome, Outfit, Pattern, Strain, WornGarment
 from tests.helpers import joined, patch
 
 AT_REST = Drape(np.zeros((0, 3)), Outcome.SETTLED, 10, 0, 0, 1.0, 1.1)
@@ -58,6 +65,26 @@ def test_each_panel_has_its_own_stretch() -> None:
 def test_grades(change: dict[str, object], strain: Strain, grade: Grade) -> None:
     drape = replace(AT_REST, **change)  # type: ignore[arg-type]
     assert grade_of(drape, strain) is grade
+
+
+@pytest.mark.parametrize(
+    ("change", "layer", "grade"),
+    [
+        ({}, Layer(0, 1, 0, 200, 0.005), Grade.CLEAN),
+        ({}, Layer(0, 1, 1, 200, 0.0), Grade.PAPER),
+        ({}, Layer(0, 1, 0, 200, 0.0051), Grade.PAPER),
+        ({"self_crossings": 1}, Layer(0, 1, 0, 200, 0.0), Grade.PAPER),
+        ({"outcome": Outcome.NOT_SETTLED}, Layer(0, 1, 0, 200, 0.0), Grade.FAILED),
+        (None, Layer(0, 1, 0, 0, 0.0), Grade.FAILED),
+    ],
+)
+def test_an_outfit_is_as_good_as_its_worst_garment_and_layer(
+    change: dict[str, object] | None, layer: Layer, grade: Grade
+) -> None:
+    clean = replace(AT_REST, strain=LOOSE)
+    outer = None if change is None else replace(clean, **change)  # type: ignore[arg-type]
+    shirt, coat = (WornGarment(Pattern("", (), ()), drape=drape) for drape in (clean, outer))
+    assert grade_of_outfit(Outfit((shirt, coat), (layer,))) is grade
 
 
 def test_points_of_a_ball_lie_on_it_with_outward_normals() -> None:

@@ -10,6 +10,7 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Body, BoxMesh, Drape, Edge, Outcome, Panel, Pattern, Placement, Sample
 from gcd_dataset.viewer.content import content_of, crossing_vertices
 from tests.helpers import body_from, joined, patch
+from tests.shards.folders import fake_outfit
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +98,17 @@ def test_tables_hold_the_measures_with_units(sample: Sample) -> None:
     rows = dict(content_of(sample).tables["Measures"])
     assert rows["height"] == f"{sample.measurements.height:.1f} cm"
     assert all(value.endswith((" cm", " °")) for value in rows.values())
+
+
+def test_the_garments_of_an_outfit_are_one_content_with_their_layers() -> None:
+    content = content_of(fake_outfit(2, 3))
+    assert content.mesh is not None and content.draped is not None
+    assert content.layers == (2, 2, 2)
+    assert len(content.pattern.panels) == 6 and len(content.draped) == len(content.mesh.vertices)
+    table = dict(content.tables["Outfit"])
+    assert table["garment 0"].endswith("tucked, settled") and table["garment 1"].endswith("worn open, settled, denim")
+    assert table["2 over 1"] == "9 crossings, 25.00% of 22 covered vertices in wrong order"
+    assert content_of(fake_sample(3, 1)).layers == ()
 
 
 def test_nested_values_have_dotted_names_and_integers_stay_integers(sample: Sample) -> None:

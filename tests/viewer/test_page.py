@@ -17,6 +17,7 @@ from gcd_dataset.records import Closure, EdgeRef, Pattern, Sample, Seam, StoredV
 from gcd_dataset.viewer.content import Content, content_of
 from gcd_dataset.viewer.page import _packed, page_of
 from tests.helpers import far_ball
+from tests.shards.folders import fake_outfit
 from tests.viewer.elements import Elements
 
 HOSTILE = '</script><b onclick="x">&amp; {{data}}'
@@ -167,6 +168,19 @@ def test_stages_and_switches_are_those_of_the_content(content: Content) -> None:
     placed = replace(content, draped=None, values={}, crossed=None, body=None)
     assert offered(placed) == (["0", "1"], False, False)
     assert data_of(page_of(placed, maps=True))["colours"] == "panels"
+
+
+def test_the_layers_of_an_outfit_have_a_slider_and_their_panels(content: Content) -> None:
+    page = page_of(content_of(fake_outfit(1, 3), far_ball()))
+    elements = Elements(page)
+    [slider] = [own for _, own in elements.found if own.get("id") == "layers"]
+    assert (slider["min"], slider["max"], slider["value"]) == ("1", "3", "3")
+    assert [own["data-layer"] for _, own in elements.found if "data-layer" in own] == ["1", "2", "3"]
+    data = data_of(page)
+    assert (data["layers"], len(data["panels"])) == ([2, 4, 6], 6)
+    panels = integers(data["mesh"]["panelOf"])[integers(data["mesh"]["corners"])[:, 0], 0]
+    assert (np.diff(panels // 2) >= 0).all()  # faces of outer garments come last
+    assert data_of(page_of(content))["layers"] == [] and 'id="layers"' not in page_of(content)
 
 
 def test_a_value_has_its_choice_its_legend_with_unit_and_range_and_its_colours(content: Content) -> None:

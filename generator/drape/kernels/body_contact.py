@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from gcd_dataset.generator.drape.kernels.field import ON_CLOTH
 from gcd_dataset.generator.drape.kernels.push import add_pressure, add_push, add_weight
 from gcd_dataset.generator.drape.kernels.world import ClothArrays, World
 
@@ -12,6 +13,11 @@ wp.set_module_options({"enable_backward": False})
 SMOOTHED = 0.3  # friction factor of a held garment, which is being smoothed into place
 GRIP = 2.0  # friction factor of keepers: the edges that keep a garment up are faced with grip tape
 FAR = wp.constant(1.0e3)  # cm, distance from a body part that a vertex passes through
+FOLDED = 1.0  # of the way toward the skin: how far tucked cloth is also moved to the back, which folds it over
+BEYOND = 3.9  # cm: a field has no gradient where it ends, ``body_field.BAND``
+LEFT_ARM, RIGHT_ARM = wp.constant(1), wp.constant(2)  # columns of ``ClothArrays.axes``
+FIELD_ERROR = 0.5  # cm, of the field beside worn cloth
+OUTSIDE_CLOTH = 0.3  # cm: where the field is larger, points lie outside all worn cloth
 MIDDLE_SHARE = 0.5  # share of ``body_gap`` that the inside of a long edge keeps
 
 
@@ -58,13 +64,19 @@ def sample_field(world: World, x: wp.vec3) -> wp.vec4:
 
 
 @wp.func
-def nearest_part(world: World, x: wp.vec3) -> int:
-    """The body part nearest to ``x``, from the voxel that contains ``x``."""
+def voxel_at(world: World, x: wp.vec3) -> int:
+    """The body part nearest to the voxel that contains ``x``; with ``ON_CLOTH`` where worn cloth is nearer."""
     g = (x - world.field_origin) / world.field_cell
     i = wp.clamp(int(wp.round(g[0])), 0, world.field_size[0] - 1)
     j = wp.clamp(int(wp.round(g[1])), 0, world.field_size[1] - 1)
     k = wp.clamp(int(wp.round(g[2])), 0, world.field_size[2] - 1)
     return int(world.field_parts[(i * world.field_size[1] + j) * world.field_size[2] + k])
+
+
+@wp.func
+def nearest_part(world: World, x: wp.vec3) -> int:
+    """The body part nearest to ``x``, from the voxel that contains ``x``."""
+    return voxel_at(world, x) & (ON_CLOTH - 1)
 
 
 @wp.func
@@ -150,9 +162,77 @@ def find_skin(i: int, p: wp.vec3, world: World, cloth: ClothArrays) -> wp.vec4:
     plane by travel² / 2 R: 0.005 cm on a finger.
     """
     near = sample_field(world, p)
-    if near[3] < world.clear and is_ignored(cloth.ignored_parts[i], nearest_part(world, p)):
+    if p[1] < world.tucked_below and near[3] > 0.5 * (world.body_gap + world.tuck):
+        if cloth.own_part[i] != LEFT_ARM and cloth.own_part[i] != RIGHT_ARM:
+            return tuck_in(i, p, near, world, cloth)
+    if near[3] >= world.clear:
+        return near
+    voxel = voxel_at(world, p)
+    if is_ignored(cloth.ignored_parts[i], voxel & (ON_CLOTH - 1)):
         return wp.vec4(near[0], near[1], near[2], FAR)
+    if (voxel & ON_CLOTH) != 0 and near[3] > -FIELD_ERROR:
+        return find_cloth(p, near, world)
     return near
+
+
+@wp.func
+def tuck_in(i: int, p: wp.vec3, near: wp.vec4, world: World, cloth: ClothArrays) -> wp.vec4:
+    """A plane that keeps a tucked vertex within ``World.tuck`` of the skin: normal, and distance of ``p`` [cm].
+
+    The normal leans to the back: pressed straight to the skin, spare cloth would stand out in fins.
+    """
+    inward = -wp.vec3(near[0], near[1], near[2])
+    if near[3] > BEYOND:
+        inward = toward_part(i, cloth, p)
+    back = wp.cross(wp.vec3(0.0, 1.0, 0.0), inward)
+    if back[2] > 0.0:
+        back = -back
+    inward = wp.normalize(inward + FOLDED * back)
+    return wp.vec4(inward[0], inward[1], inward[2], world.body_gap + world.tuck - near[3])
+
+
+@wp.func
+def toward_part(i: int, cloth: ClothArrays, p: wp.vec3) -> wp.vec3:
+    """Unit vector from ``p`` to the axis of the body part that a vertex covers."""
+    w = cloth.vertex_world[i]
+    start = cloth.axes[2 * w, cloth.own_part[i]]
+    along = cloth.axes[2 * w + 1, cloth.own_part[i]] - start
+    share = wp.clamp(wp.dot(p - start, along) / wp.max(wp.length_sq(along), 1.0e-6), 0.0, 1.0)
+    return wp.normalize(start + share * along - p)
+
+
+@wp.func
+def find_cloth(p: wp.vec3, near: wp.vec4, world: World) -> wp.vec4:
+    """As ``near``, the field at ``p``, from the triangles of the worn garments: voxels are wider than their folds."""
+    exact = near
+    exact[3] = near[3] + FIELD_ERROR
+    for k in range(world.worn.shape[0]):
+        cloth = world.worn[k]
+        found = mesh_distance(cloth, p, exact[3] + world.worn_gap, near[3] > OUTSIDE_CLOTH)
+        if found[3] - world.worn_gap < exact[3]:
+            exact = wp.vec4(found[0], found[1], found[2], found[3] - world.worn_gap)
+    if exact[3] < near[3] + FIELD_ERROR:
+        return exact
+    return near
+
+
+@wp.func
+def mesh_distance(mesh: wp.uint64, p: wp.vec3, reach: float, is_outside: bool) -> wp.vec4:
+    """Unit gradient and value of the signed distance from an open mesh [cm]; ``FAR`` if beyond ``reach``."""
+    sign = float(1.0)
+    if is_outside:
+        found = wp.mesh_query_point_no_sign(mesh, p, reach)
+    else:
+        found = wp.mesh_query_point_sign_winding_number(mesh, p, reach)
+        sign = found.sign
+    if not found.result:
+        return wp.vec4(0.0, 1.0, 0.0, FAR)
+    away = sign * (p - wp.mesh_eval_position(mesh, found.face, found.u, found.v))
+    distance = wp.length(away)
+    normal = wp.mesh_eval_face_normal(mesh, found.face)
+    if distance > 1.0e-4:
+        normal = away / distance
+    return wp.vec4(normal[0], normal[1], normal[2], sign * distance)
 
 
 @wp.func

@@ -8,6 +8,7 @@ fastest along the contour's directions ``R`` into the edge's faces for a displac
 
 import warp as wp
 
+from gcd_dataset.generator.drape.kernels.body_contact import toward_part
 from gcd_dataset.generator.drape.kernels.geometry import has_vertex, segment_crosses
 from gcd_dataset.generator.drape.kernels.push import add_push
 from gcd_dataset.generator.drape.kernels.world import ClothArrays, Contacts, CrossingWatch, World, take_slot
@@ -132,11 +133,7 @@ def pull_to_part(i: int, world: World, cloth: ClothArrays, x: wp.array(dtype=wp.
     part = cloth.own_part[i]
     if part < 0 or world.pulling == 0.0:
         return
-    w = cloth.vertex_world[i]
-    start = cloth.axes[2 * w, part]
-    along = cloth.axes[2 * w + 1, part] - start
-    share = wp.clamp(wp.dot(x[i] - start, along) / wp.max(wp.length_sq(along), 1.0e-6), 0.0, 1.0)
-    add_push(push, i, (world.pulling * world.dt * world.dt) * wp.normalize(start + share * along - x[i]))
+    add_push(push, i, (world.pulling * world.dt * world.dt) * toward_part(i, cloth, x[i]))
 
 
 @wp.func
@@ -197,9 +194,10 @@ def count_self_crossings(
 
 
 @wp.struct
-class BodyEdges:
-    """The edges of a body's skin."""
+class SkinEdges:
+    """The edges of the skin in a world, or of a garment worn on it."""
 
+    world: int
     mesh: wp.uint64
     ends: wp.array(dtype=wp.vec2i)  # vertices of the mesh
 
@@ -208,7 +206,7 @@ class BodyEdges:
 def count_body_through(
     # model
     cloth: ClothArrays,
-    bodies: wp.array(dtype=BodyEdges),
+    skins: wp.array(dtype=SkinEdges),
     bvh: wp.uint64,
     roots: wp.array(dtype=int),
     chosen: wp.array(dtype=int),
@@ -217,12 +215,14 @@ def count_body_through(
     # out
     crossings: wp.array(dtype=int),
 ):
-    """Count the edges of the skin that cross a triangle of the cloth, in the chosen worlds."""
-    w, e = wp.tid()
-    if chosen[w] == 0 or e >= bodies[w].ends.shape[0]:
+    """Count the edges of skins that cross a triangle of the cloth, in the chosen worlds."""
+    number, e = wp.tid()
+    skin = skins[number]
+    w = skin.world
+    if chosen[w] == 0 or e >= skin.ends.shape[0]:
         return
-    ends = bodies[w].ends[e]
-    mesh = wp.mesh_get(bodies[w].mesh)
+    ends = skin.ends[e]
+    mesh = wp.mesh_get(skin.mesh)
     p = mesh.points[ends[0]]
     q = mesh.points[ends[1]]
     query = wp.bvh_query_aabb(bvh, wp.min(p, q), wp.max(p, q), roots[w])
@@ -244,9 +244,19 @@ def crosses_skin(mesh: wp.uint64, p: wp.vec3, q: wp.vec3) -> bool:
     return hit.result
 
 
+@wp.func
+def crosses_body(world: World, skin: wp.uint64, p: wp.vec3, q: wp.vec3) -> bool:
+    """Whether segment pq intersects the skin, or a garment worn on it."""
+    crosses = crosses_skin(skin, p, q)
+    for k in range(world.worn.shape[0]):
+        crosses = crosses or crosses_skin(world.worn[k], p, q)
+    return crosses
+
+
 @wp.kernel
 def count_body_crossings(
     # model
+    worlds: wp.array(dtype=World),
     cloth: ClothArrays,
     chosen: wp.array(dtype=int),
     # state in
@@ -254,13 +264,13 @@ def count_body_crossings(
     # out
     crossings: wp.array(dtype=int),
 ):
-    """Count the edges of the cloth that cross the skin, in the chosen worlds."""
+    """Count the edges of the cloth that cross the skin or worn garments, in the chosen worlds."""
     e = wp.tid()
     i = cloth.edges[e][0]
     w = cloth.vertex_world[i]
     if chosen[w] == 0:
         return
-    if crosses_skin(cloth.body_mesh[w], x[i], x[cloth.edges[e][1]]):
+    if crosses_body(worlds[w], cloth.body_mesh[w], x[i], x[cloth.edges[e][1]]):
         wp.atomic_add(crossings, w, 1)
 
 

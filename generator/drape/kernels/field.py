@@ -16,6 +16,8 @@ ROUNDING = wp.constant(1.0e-2)  # cm, added to search radii; single precision re
 NEAR, INSIDE, OUTSIDE, NEAR_INSIDE = wp.constant(0.0), wp.constant(1.0), wp.constant(2.0), wp.constant(3.0)
 HEAD = wp.constant(BodyPart.HEAD.value)
 LID = wp.constant(128)  # bit of ``Voxels.face_parts``
+ON_CLOTH = wp.constant(128)  # bit of the parts of voxels beside worn cloth
+UNDER_SKIN = wp.constant(-1.0)  # cm: deeper inside the body, the way out does not depend on the cloth
 
 
 @wp.struct
@@ -144,3 +146,72 @@ def add_hulls(hulls: wp.array(dtype=Hull), cell: float):
         plane = hull.planes[k]
         distance = wp.max(distance, plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] + plane[3])
     hull.distance[at[0], at[1], at[2]] = wp.min(hull.distance[at[0], at[1], at[2]], distance)
+
+
+@wp.kernel
+def find_parts(
+    body: wp.uint64,
+    face_parts: wp.array(dtype=wp.uint8),
+    arms: int,
+    points: wp.array(dtype=wp.vec3),
+    # in and out
+    parts: wp.array(dtype=wp.uint8),
+):
+    """Name the part of the arm at each vertex of a sleeve, such as the forearm; ``arms``: bit set of these parts."""
+    i = wp.tid()
+    if ((arms >> int(parts[i])) & 1) == 0:
+        return
+    near = wp.mesh_query_point_no_sign(body, points[i], UNLIMITED)
+    if near.result:
+        part = int(face_parts[near.face]) & (LID - 1)
+        if ((arms >> part) & 1) != 0:
+            parts[i] = wp.uint8(part)
+
+
+@wp.kernel
+def measure_cloth_blocks(
+    cloth: wp.uint64,
+    low: wp.vec3,
+    cell: float,
+    # out
+    blocks: wp.array3d(dtype=float),
+):
+    """The distance of each block's centre from the cloth [cm], negative inside."""
+    i, j, k = wp.tid()
+    middle = wp.vec3(float(i), float(j), float(k)) + wp.vec3(0.5 - 0.5 / float(BLOCK))
+    p = low + (cell * float(BLOCK)) * middle
+    near = wp.mesh_query_point_sign_winding_number(cloth, p, UNLIMITED)
+    blocks[i, j, k] = near.sign * wp.length(p - wp.mesh_eval_position(cloth, near.face, near.u, near.v))
+
+
+@wp.kernel
+def lower_to_cloth(
+    cloth: wp.uint64,
+    parts: wp.array(dtype=wp.uint8),
+    low: wp.vec3,
+    cell: float,
+    gap: float,
+    blocks: wp.array3d(dtype=float),
+    # in and out
+    distance: wp.array3d(dtype=float),
+    part: wp.array3d(dtype=wp.uint8),
+):
+    """Lower ``distance`` to the signed distance from worn cloth less ``gap``; ``part``: with ``ON_CLOTH``."""
+    i, j, k = wp.tid()
+    middle = blocks[i // BLOCK, j // BLOCK, k // BLOCK]
+    reach = wp.abs(middle) + HALF_BLOCK * cell
+    if middle - HALF_BLOCK * cell - gap > distance[i, j, k] or distance[i, j, k] < UNDER_SKIN:
+        return
+    p = low + cell * wp.vec3(float(i), float(j), float(k))
+    sign = wp.sign(middle)
+    if reach > 2.0 * HALF_BLOCK * cell:  # no cloth lies in the block
+        near = wp.mesh_query_point_no_sign(cloth, p, reach + ROUNDING)
+    else:
+        near = wp.mesh_query_point_sign_winding_number(cloth, p, reach + ROUNDING)
+        sign = near.sign
+    if not near.result:
+        return
+    away = sign * wp.length(p - wp.mesh_eval_position(cloth, near.face, near.u, near.v)) - gap
+    if away < distance[i, j, k]:
+        distance[i, j, k] = away
+        part[i, j, k] = wp.uint8(int(parts[wp.mesh_get_index(cloth, 3 * near.face)]) | ON_CLOTH)

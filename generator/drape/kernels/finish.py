@@ -6,8 +6,8 @@ distance from other cloth, so that no contact can change sides.
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.body_contact import is_ignored, nearest_part
-from gcd_dataset.generator.drape.kernels.crossing import BodyEdges, crosses_skin
+from gcd_dataset.generator.drape.kernels.body_contact import is_ignored, mesh_distance, nearest_part
+from gcd_dataset.generator.drape.kernels.crossing import SkinEdges, crosses_body
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, segment_crosses
 from gcd_dataset.generator.drape.kernels.world import ClothArrays, Contacts, World, entries
 from gcd_dataset.records import POSITION_STEP
@@ -65,6 +65,7 @@ def bound_moves(
 
 @wp.kernel
 def mark_body_crossings(
+    worlds: wp.array(dtype=World),
     cloth: ClothArrays,
     # state in
     chosen: wp.array(dtype=int),
@@ -72,14 +73,14 @@ def mark_body_crossings(
     # state out
     through: wp.array(dtype=int),
 ):
-    """Mark the ends of edges that cross the skin, in the chosen worlds."""
+    """Mark the ends of edges that cross the skin or worn garments, in the chosen worlds."""
     e = wp.tid()
     i = cloth.edges[e][0]
     j = cloth.edges[e][1]
     w = cloth.vertex_world[i]
     if chosen[w] == 0:
         return
-    if crosses_skin(cloth.body_mesh[w], x[i], x[j]):
+    if crosses_body(worlds[w], cloth.body_mesh[w], x[i], x[j]):
         through[i] = 1
         through[j] = 1
 
@@ -99,11 +100,22 @@ def nearest_exit(mesh: wp.uint64, p: wp.vec3) -> wp.vec4:
     return wp.vec4(normal[0], normal[1], normal[2], CLEAR - near.sign * distance)
 
 
+@wp.func
+def farthest_exit(world: World, skin: wp.uint64, p: wp.vec3) -> wp.vec4:
+    """As ``nearest_exit``, out of the body and of the garments worn on it."""
+    way = nearest_exit(skin, p)
+    for k in range(world.worn.shape[0]):
+        near = mesh_distance(world.worn[k], p, DEEPEST, False)
+        if CLEAR - near[3] > way[3]:
+            way = wp.vec4(near[0], near[1], near[2], CLEAR - near[3])
+    return way
+
+
 @wp.kernel
 def measure_pierced_faces(
     # model
     cloth: ClothArrays,
-    bodies: wp.array(dtype=BodyEdges),
+    skins: wp.array(dtype=SkinEdges),
     bvh: wp.uint64,
     roots: wp.array(dtype=int),
     # state in
@@ -114,11 +126,13 @@ def measure_pierced_faces(
     height: wp.array(dtype=float),
 ):
     """Mark the corners of faces pierced by edges of the skin; ``height``: how far the skin stands out there [cm]."""
-    w, e = wp.tid()
-    if chosen[w] == 0 or e >= bodies[w].ends.shape[0]:
+    number, e = wp.tid()
+    skin = skins[number]
+    w = skin.world
+    if chosen[w] == 0 or e >= skin.ends.shape[0]:
         return
-    ends = bodies[w].ends[e]
-    mesh = wp.mesh_get(bodies[w].mesh)
+    ends = skin.ends[e]
+    mesh = wp.mesh_get(skin.mesh)
     p = mesh.points[ends[0]]
     q = mesh.points[ends[1]]
     query = wp.bvh_query_aabb(bvh, wp.min(p, q), wp.max(p, q), roots[w])
@@ -132,9 +146,9 @@ def measure_pierced_faces(
             continue
         across = wp.cross(b - a, c - a)
         at = wp.lerp(p, q, wp.dot(a - p, across) / wp.dot(q - p, across))
-        near = wp.mesh_query_point_no_sign(bodies[w].mesh, at, DEEPEST)
+        near = wp.mesh_query_point_no_sign(skin.mesh, at, DEEPEST)
         if near.result:
-            normal = wp.mesh_eval_face_normal(bodies[w].mesh, near.face)
+            normal = wp.mesh_eval_face_normal(skin.mesh, near.face)
             out = wp.max(wp.dot(p - at, normal), wp.dot(q - at, normal))
             for corner in range(3):
                 through[face[corner]] = 1
@@ -175,10 +189,10 @@ def leave_skin(
             here = wp.lerp(p, x_in[j], 0.25 * float(quarter))
             part = nearest_part(world, here)
             if not is_ignored(cloth.ignored_parts[i] & cloth.ignored_parts[j], part):
-                way = nearest_exit(cloth.body_mesh[w], here)
+                way = farthest_exit(world, cloth.body_mesh[w], here)
                 if way[3] > deepest[3]:
                     deepest = way
-    out = nearest_exit(cloth.body_mesh[w], p)
+    out = farthest_exit(world, cloth.body_mesh[w], p)
     if height[i] > 0.0 and height[i] + CLEAR > deepest[3]:
         if not is_ignored(cloth.ignored_parts[i], nearest_part(world, p)):
             deepest = wp.vec4(out[0], out[1], out[2], height[i] + CLEAR)

@@ -54,6 +54,10 @@ class World:
     field_size: wp.vec3i  # voxels along x, y, z
     field_origin: wp.vec3  # cm, centre of the first voxel
     field_cell: float  # cm
+    tucked_below: float  # cm, height below which the cloth is tucked into another garment
+    tuck: float  # cm, largest distance of tucked cloth from the skin
+    worn: wp.array(dtype=wp.uint64)  # meshes of the garments under this one
+    worn_gap: float  # cm, distance from these garments beyond ``body_gap``
 
 
 @wp.struct

@@ -1,0 +1,102 @@
+"""Garments draped over garments."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, drape_outfit, layers_of
+from gcd_dataset.generator.drape.body_field import body_field
+from gcd_dataset.generator.drape.dressed import dressed
+from gcd_dataset.generator.dressing.sewing_start import sewing_start
+from gcd_dataset.generator.dressing.worn import WornCloth
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.records import BodyPart, Outcome
+from tests.generator.drape.garments import neutral
+from tests.generator.drape.test_layers import ring, trunk
+from tests.helpers import SIZE, body_from, tube
+
+
+def on_trunk(radius: float) -> DrapeJob:
+    """A ring of cloth round a trunk, 16 cm high, a little wider than the trunk's skin and cloth under it."""
+    columns = round(2.0 * np.pi * radius / 2.0)
+    mesh = tube(columns, 8, radius=radius, spacing=2.0 * np.pi * radius / columns, height=40.0)
+    return DrapeJob(mesh, body_from(trunk()), SIZE)
+
+
+def test_the_field_of_a_dressed_body_is_lowered_to_the_cloth_and_covers_it() -> None:
+    field, cloth = body_field(body_from(trunk()), "cpu"), ring(30.0)
+    over = dressed(field, [cloth], 0.0)
+    low, at = np.array(over.origin), over.distance.numpy()
+
+    def distance(x: float) -> float:
+        return float(at[tuple(np.rint((np.array([x, 50.0, 0.0]) - low) / over.cell).astype(int))])
+
+    assert distance(32.0) == pytest.approx(2.0, abs=0.5)
+    assert distance(27.0) == pytest.approx(-3.0, abs=0.5)  # a tube of cloth is solid
+    assert (low < np.array(field.origin)).any()
+
+
+def test_a_ring_over_a_ring_rests_outside_it_and_the_same_in_a_batch() -> None:
+    inner, outer = on_trunk(11.0), on_trunk(11.1)
+    config = DrapeConfig(max_frames=20)
+    over = replace(outer, under=(WornCloth.of(inner.box_mesh, inner.box_mesh.vertices),))
+    [alone] = drape_batch([over], config, device="cpu")
+    assert drape_batch([outer, over, inner], config, device="cpu")[1] == alone
+    [layer] = layers_of([*over.under, WornCloth.of(outer.box_mesh, alone.vertices)], inner.body, device="cpu")
+    assert (layer.crossings, layer.wrong_order) == (0, 0.0)
+    assert drape_batch([outer], config, device="cpu") != [alone]
+
+
+def test_a_garment_over_one_that_failed_is_refused() -> None:
+    inner = replace(on_trunk(11.0), body=neutral()[0])
+    first, second = drape_outfit([inner, inner], DrapeConfig(max_frames=1), device="cpu")
+    assert first.outcome is not Outcome.SETTLED
+    assert (second.outcome, second.reason) == (
+        Outcome.REFUSED,
+        f"garment 0 under it is {first.outcome.name}",
+    )
+
+
+def test_garments_of_an_outfit_share_their_body() -> None:
+    with pytest.raises(ConfigError, match="garment 1 is for body"):
+        drape_outfit([on_trunk(11.0), on_trunk(12.0)], device="cpu")
+
+
+@pytest.fixture(scope="module")
+def shirt_and_trousers() -> tuple[DrapeJob, DrapeJob]:
+    body, size = neutral(legs_apart=True)
+    shirt, trousers = (
+        build_box_mesh(draw_garment(size, design_from_dict(design)), spacing=3.0)
+        for design in (
+            {"meta": {"upper": "Shirt"}, "sleeve": {"sleeveless": False, "length": 0.5}},
+            {"meta": {"bottom": "Pants"}},
+        )
+    )
+    return DrapeJob(shirt, body, size), DrapeJob(trousers, body, size)
+
+
+def test_a_sleeve_is_rolled_round_the_sleeve_below(shirt_and_trousers: tuple[DrapeJob, DrapeJob]) -> None:
+    shirt, _ = shirt_and_trousers
+    on_arm = WornCloth.of(shirt.box_mesh, shirt.box_mesh.vertices).parts == BodyPart.LEFT_ARM.value
+    bare = sewing_start(shirt.box_mesh, shirt.body)
+    middle = bare[on_arm].mean(axis=0)
+    wider = replace(WornCloth.of(shirt.box_mesh, bare), vertices=middle + 1.5 * (bare - middle))
+    over = sewing_start(shirt.box_mesh, shirt.body, [wider])
+    assert np.ptp(over[on_arm, 2]) > 1.2 * np.ptp(bare[on_arm, 2])
+
+
+def test_a_tucked_shirt_lies_inside_the_trousers(shirt_and_trousers: tuple[DrapeJob, DrapeJob]) -> None:
+    """Draped on their own, the shirt's hem lies outside the trousers; tucked, it lies inside and near the skin."""
+    shirt, trousers = shirt_and_trousers
+    waist = float(trousers.box_mesh.vertices[:, 1].max())
+    loose, alone = drape_batch([shirt, trousers], device="cpu")
+    inner, outer = drape_outfit([replace(shirt, tucked_below=waist), trousers], device="cpu")
+    orders = []
+    for one, other in ((loose, alone), (inner, outer)):
+        pair = [WornCloth.of(shirt.box_mesh, one.vertices), WornCloth.of(trousers.box_mesh, other.vertices)]
+        orders.append(layers_of(pair, shirt.body, device="cpu")[0].wrong_order)
+    assert orders[0] > 0.5
+    assert orders[1] < 0.05
