@@ -26,7 +26,7 @@ LIMB_OF = {
 }  # fmt: skip
 """The row of ``LIMBS`` for each part of ``WornCloth.parts``: a hem over the thighs belongs to the trunk's cloth."""
 
-MISSING = 1.0e5  # cm
+NOWHERE = np.full((3, 3), 1.0e5)  # cm: the triangle of a limb that a body lacks
 
 
 def layers_of(garments: Sequence[WornCloth], body: Body, *, device: str = "auto") -> tuple[Layer, ...]:
@@ -70,7 +70,7 @@ def _limbs(body: Body, device: str) -> list[wp.Mesh]:
     for side, own in LIMBS:
         tips = (parts != BodyPart.HANDS.value) | (side * aside >= 0.0)
         limb = faces[np.isin(parts, [part.value for part in own]) & tips]
-        limbs.append(_mesh(*((points, limb) if len(limb) else (np.full((3, 3), MISSING), [0, 1, 2])), device))
+        limbs.append(_mesh(points, limb, device) if len(limb) else _mesh(NOWHERE, np.array([[0, 1, 2]]), device))
     return limbs
 
 
