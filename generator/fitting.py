@@ -1,6 +1,7 @@
 """Fittings: patterns read from files and draped on a body, written as pictures, mesh files and a report."""
 
 import io
+import itertools
 import json
 import logging
 import math
@@ -19,7 +20,7 @@ from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError, SpecError
 from gcd_dataset.faults import Severity, require_valid
 from gcd_dataset.files import make_folder, safe_name, write_whole
-from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
+from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, drape_outfit
 from gcd_dataset.generator.drapers import DrapeReply
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
@@ -28,11 +29,26 @@ from gcd_dataset.generator.dressing import Dressing, dress, has_legs
 from gcd_dataset.generator.ease import ease_of
 from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, Reject, check_design, read_design
 from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.generator.outfits import is_tucked, order_fault, worn_outfit
 from gcd_dataset.generator.pipeline import build_pattern
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.generator.sized import Cut, lifted
 from gcd_dataset.generator.svg import nest_svg, pattern_svg
-from gcd_dataset.records import Body, BoxMesh, Drape, Ease, Fit, Maps, Measurements, Outcome, Pattern
+from gcd_dataset.outfits import joined_drape, joined_mesh, joined_pattern
+from gcd_dataset.records import (
+    Body,
+    BoxMesh,
+    Drape,
+    Ease,
+    Fit,
+    Layer,
+    Maps,
+    Measurements,
+    Outcome,
+    Outfit,
+    Pattern,
+    WornGarment,
+)
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
 
@@ -58,6 +74,8 @@ class Fitting:
     drape_seconds: float
     """Time of its batch, divided by the number of garments in it."""
     maps: Maps | None = None
+    outfit: Outfit | None = None
+    """The garments that this one joins."""
 
     @property
     def row(self) -> dict[str, Any]:
@@ -248,6 +266,59 @@ def _work(
     return DrapeWork([job], finish, maps=maps)
 
 
+def drape_together(
+    patterns: Sequence[Pattern],
+    wearer: Callable[[bool], tuple[Body, Measurements]],
+    *,
+    fabric: Fabric = FABRICS[DEFAULT_FABRIC],
+    resolution: float = 1.0,
+    device: str = "auto",
+) -> tuple[list[Fitting], Fitting]:
+    """The garments of an outfit, from the skin outwards, draped over each other; and all of them as one fitting.
+
+    Other arguments as for ``drape_patterns``; all garments are on one body, its legs apart if one has legs. Raises
+    ``PatternError`` for garments that cannot be worn in this order (``order_fault``), or cannot be placed;
+    ``MeshError`` and ``ConfigError``.
+    """
+    apart = any(has_legs(dress(pattern, *wearer(False)).pattern) for pattern in patterns)
+    body, size = person = wearer(apart)
+    dressings = [_dress(pattern, lambda _: person)[0] for pattern in patterns]
+    placed = [dressing.pattern for dressing in dressings]
+    for number, outer in enumerate(placed):
+        if reason := order_fault(placed[:number], outer, size):
+            raise PatternError(f"the garments cannot be worn in this order: {reason}")
+    start = time.perf_counter()
+    meshes = [build_box_mesh(pattern, spacing=resolution) for pattern in placed]
+    between = time.perf_counter()
+    tucked = [*(is_tucked(inner, outer, size) for inner, outer in itertools.pairwise(placed)), False]
+    jobs = [
+        DrapeJob(mesh, body, size, fabric, tucked_below=size.waist_level if inside else -math.inf)
+        for mesh, inside in zip(meshes, tucked, strict=True)
+    ]
+    drapes = drape_outfit(jobs, device=device)
+    seconds = (between - start) / len(jobs), (time.perf_counter() - between) / len(jobs)
+    fittings = [
+        Fitting(
+            one.pattern,
+            body,
+            one.assumed,
+            mesh,
+            drape,
+            ease_of(one.pattern, mesh, body, size, drape.vertices),
+            *seconds,
+        )
+        for one, mesh, drape in zip(dressings, meshes, drapes, strict=True)
+    ]
+    garments = [
+        WornGarment(one.pattern, {}, one.box_mesh, one.drape, tucked=inside)
+        for one, inside in zip(fittings, tucked, strict=True)
+    ]
+    outfit = worn_outfit(garments, body)
+    pattern = replace(joined_pattern(placed), name="outfit")
+    mesh, drape = joined_mesh(meshes, [len(one.seams) for one in placed]), joined_drape(drapes, outfit.layers)
+    return fittings, Fitting(pattern, body, (), mesh, drape, {}, *seconds, outfit=outfit)
+
+
 def _dress(
     pattern: Pattern, wearer: Callable[[bool], tuple[Body, Measurements]]
 ) -> tuple[Dressing, tuple[Body, Measurements]]:
@@ -296,10 +367,11 @@ def write_report(
     resolution: float,
     device: str,
     fits: Iterable[Fit | None] = repeat(None),
+    layers: Sequence[Layer] = (),
 ) -> None:
     """Write a JSON report: the settings, and the result of each file. Raises ``OutputError``.
 
-    ``fits``: of the files in order, for garments cut for a size.
+    ``fits``: of the files in order, for garments cut for a size; ``layers``: of an outfit of all files.
     """
     report = {
         "gcd_dataset": __version__,
@@ -318,5 +390,6 @@ def write_report(
             }
             for (file, fitting), fit in zip(done, fits, strict=False)
         ],
+        **({"layers": [asdict(layer) for layer in layers]} if layers else {}),
     }
     write_whole(path, (json.dumps(report, indent=2) + "\n").encode())

@@ -33,11 +33,21 @@ from gcd_dataset.generator.dressing.frame import placed_outline
 from gcd_dataset.generator.garments.design import MetaDesign, choice_of
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.jsonfile import read_toml
-from gcd_dataset.records import Closure, Measurements, Pattern
+from gcd_dataset.records import Body, Closure, Measurements, Outcome, Outfit, Pattern, WornGarment
 from gcd_dataset.shards.layout import MOST_GARMENTS
 from gcd_dataset.spec import is_trouser_leg
 
-__all__ = ["OUTFITS", "Outfits", "WornDesign", "count_fault", "order_fault", "read_outfits", "worn_open"]
+__all__ = [
+    "OUTFITS",
+    "Outfits",
+    "WornDesign",
+    "count_fault",
+    "is_tucked",
+    "order_fault",
+    "read_outfits",
+    "worn_open",
+    "worn_outfit",
+]
 
 OUTFITS = ("everyday",)
 """The files of outfits in this package."""
@@ -195,6 +205,25 @@ def order_fault(under: Sequence[Pattern], outer: Pattern, size: Measurements) ->
                 f"take in at most {BELOW_CROTCH:.0f} cm: give {outer.name} before it"
             )
     return ""
+
+
+def is_tucked(inner: Pattern, outer: Pattern, size: Measurements) -> bool:
+    """Whether a garment is tucked into the next one: a top into a skirt or trousers."""
+    return _has_top(inner, size) and not _has_top(outer, size)
+
+
+def worn_outfit(garments: Sequence[WornGarment], body: Body) -> Outfit:
+    """The outfit, with the layers of its draped garments; they are counted on the CPU, on every machine alike."""
+    from gcd_dataset.generator.drape import layers_of
+    from gcd_dataset.generator.dressing.worn import WornCloth
+
+    cloths = [
+        WornCloth.of(one.box_mesh, one.drape.vertices)
+        for one in garments
+        if one.box_mesh and one.drape and one.drape.outcome is not Outcome.REFUSED
+        if np.isfinite(one.drape.vertices).all()
+    ]
+    return Outfit(tuple(garments), layers_of(cloths, body, device="cpu") if len(cloths) > 1 else ())
 
 
 def _has_top(pattern: Pattern, size: Measurements) -> bool:

@@ -34,7 +34,7 @@ from gcd_dataset.generator.garments import (
 )
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
-from gcd_dataset.generator.outfits import WornDesign, order_fault, worn_open
+from gcd_dataset.generator.outfits import WornDesign, order_fault, worn_open, worn_outfit
 from gcd_dataset.generator.quality import grade_of, grade_of_outfit, sample_surface, strain_of
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.generator.sized import Cut, draw_cut, lifted, size_or_none, undraped
@@ -48,12 +48,10 @@ from gcd_dataset.records import (
     Ease,
     Fit,
     FitLabel,
-    Layer,
     Maps,
     Measurements,
     NamedFabric,
     Outcome,
-    Outfit,
     Pattern,
     Provenance,
     Rejected,
@@ -481,7 +479,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
     rejects = tuple(reject for one in all_worn for reject in one.design.rejects)
     redraws = sum((one.design.all_redraws() for one in all_worn), Counter[str]())
     tags = {tag for one in all_worn for tag in _tags(one.design, row)}
-    outfit = Outfit(garments, _layers(garments, dressed.body)) if len(garments) > 1 else None
+    outfit = worn_outfit(garments, dressed.body) if len(garments) > 1 else None
     grade = None if drape is None else grade_of_outfit(outfit) if outfit else grade_of(drape, drape.strain)
     return Sample(
         key=key_of(index),
@@ -529,19 +527,6 @@ def _worn(draped: DrapedDesign, row: int, config: MakeConfig) -> WornGarment:
         fabric = _fabric_record(design.seed, own_number(dressed.index, len(design.under)), config.fabric)
     values = design_to_dict(design.design)
     return WornGarment(dressed.pattern, values, dressed.box_mesh, drape, fabric, how.tucked, how.closed)
-
-
-def _layers(garments: Sequence[WornGarment], body: Body) -> tuple[Layer, ...]:
-    """How the draped garments lie over each other."""
-    from gcd_dataset.generator.drape import layers_of
-    from gcd_dataset.generator.dressing.worn import WornCloth
-
-    cloths = [
-        WornCloth.of(one.box_mesh, one.drape.vertices)
-        for one in garments
-        if one.box_mesh and one.drape and one.drape.strain and np.isfinite(one.drape.vertices).all()
-    ]
-    return layers_of(cloths, body, device="cpu") if len(cloths) > 1 else ()  # on every machine alike
 
 
 def _tags(design: DressedDesign, row: int) -> tuple[str, ...]:

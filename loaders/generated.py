@@ -114,8 +114,10 @@ class GeneratedGarments(Garments):
         self.config = MakeConfig(stage=_last_stage(drape, stage), design=_overlay(design), **options)
         empty = [] if self.config.picture else ["front", "back"]
         self._layout = layout_of_samples(self.config)
-        made = self.config
-        full = garments_layout(caption=made.captions, maps=made.maps, views=made.views, garments=made.most_garments)
+        config = self.config
+        full = garments_layout(
+            caption=config.captions, maps=config.maps, views=config.views, garments=config.most_garments
+        )
         available, absent = fields_of(full.members), absent_at_stage(self.config.stage, empty)
         super().__init__(fields, transform, available=available, absent=absent, dtype=dtype)
         self.garments_per_design = self.config.wearers

@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
@@ -23,7 +23,9 @@ from gcd_dataset.errors import ConfigError, PatternError, shown
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.body.tailor import MeasureResult
+    from gcd_dataset.generator.fitting import Refusal
     from gcd_dataset.generator.sized import Cut
+    from gcd_dataset.records import Layer, Pattern
 
 DESIGN_HELP = "GarmentCode's design_params.yaml, or ours"
 FABRICS = "denim, drill, interlock, wool_light ...; an unknown name lists them all"
@@ -44,6 +46,12 @@ def add_verbs(verbs: Any) -> None:
         "rules that a garment breaks on the body",
     )
     drape.add_argument("--sizes", metavar="CHART", help="women, men, or a size chart as TOML (default: women)")
+    drape.add_argument(
+        "--outfit",
+        action="store_true",
+        help="wear all garments over each other, in the order given, from the skin outwards; files outfit_front.png, "
+        "outfit.obj, …, and their layers in report.json",
+    )
     _add_draping(drape)
 
     fit = add_verb(verbs, "fit", _fit, "draw a design for a body, and drape it; exit 1 if it does not settle")
@@ -117,6 +125,7 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
         Refusal,
         cut_patterns,
         drape_patterns,
+        drape_together,
         read_patterns,
         write_fitting,
         write_report,
@@ -136,13 +145,22 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
     for path, (_, fit) in zip(options.spec, cuts, strict=False):
         for label in fit.labels if fit else ():
             print(f"gcd drape: {path}: on this body, {label.rule}: {label.reason}", file=sys.stderr)
-    folder = make_folder(options.out)
     fittings: list[Fitting | Refusal] = []
+    layers: Sequence[Layer] = ()
+    done: Iterable[Fitting | Refusal]
+    together: dict[str, Any] = {"fabric": fabric, "resolution": resolution, "device": device}
     log_drape_time(len(options.spec), device, resolution)
+    if is_outfit := getattr(options, "outfit", False):
+        _require_outfit(options)
+        done, whole = drape_together(list(map(_require_pattern, patterns)), wearer, **together)
+        folder, layers = make_folder(options.out), whole.outfit.layers if whole.outfit else ()
+        write_fitting(whole, folder, glb=options.glb, device=device)
+    else:
+        folder = make_folder(options.out)
+        done = drape_patterns(patterns, wearer, maps=options.maps, **together)
     try:
-        done = drape_patterns(patterns, wearer, fabric=fabric, resolution=resolution, device=device, maps=options.maps)
-        for fitting in tqdm(done, total=len(options.spec), unit="garment", disable=options.quiet):
-            if isinstance(fitting, Fitting):
+        for fitting in tqdm(done, total=len(options.spec), unit="garment", disable=options.quiet or is_outfit):
+            if isinstance(fitting, Fitting) and not is_outfit:
                 write_fitting(fitting, folder, glb=options.glb, device=device)
             fittings.append(fitting)
     finally:
@@ -150,7 +168,7 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
         if fittings:
             of_files = zip(options.spec, fittings, strict=False)
             fits = [fit for _, fit in cuts] or repeat(None)
-            write_report(of_files, folder / "report.json", resolution=resolution, fits=fits, **made_by)
+            write_report(of_files, folder / "report.json", resolution=resolution, fits=fits, layers=layers, **made_by)
     failed = False
     for fitting in fittings:
         if isinstance(fitting, Refusal):
@@ -168,8 +186,34 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
             failed = failed or not options.allow_unsettled
         if options.verb == "fit":
             print(*(f"  {line}" for line in fitting.ease_lines()), sep="\n")
+    for layer in layers:
+        inner, outer = (options.spec[number] for number in (layer.inner, layer.outer))
+        print(f"{outer} over {inner}: {layer.crossings} crossings, {layer.wrong_order:.1%} of it outside")
     print(f"{folder}: meshes, pictures and report.json")
     return int(failed)
+
+
+def _require_outfit(options: argparse.Namespace) -> None:
+    """Raise ``ConfigError`` for files and options that make no outfit."""
+    from gcd_dataset.generator.outfits import count_fault
+    from gcd_dataset.shards.layout import MOST_GARMENTS
+
+    paths = [path.resolve() for path in options.spec]
+    if twice := [path for path, real in zip(options.spec, paths, strict=True) if paths.count(real) > 1]:
+        raise ConfigError(f"--outfit: {twice[0]} is given twice: give each garment once")
+    if not 2 <= len(paths) <= MOST_GARMENTS:
+        raise ConfigError(f"--outfit: {count_fault(len(paths))}")
+    if options.maps:
+        raise ConfigError("--maps are of a garment alone: leave it out with --outfit")
+
+
+def _require_pattern(pattern: "Pattern | Refusal") -> "Pattern":
+    """The pattern. Raises ``PatternError`` for one that cannot be sewn or worn, and so for its outfit."""
+    from gcd_dataset.records import Pattern
+
+    if isinstance(pattern, Pattern):
+        return pattern
+    raise PatternError(f"{pattern.name}: {pattern.reason}")
 
 
 def _cut_size(options: argparse.Namespace) -> "Cut | None":

@@ -206,7 +206,7 @@ def _skin(body: Body) -> Any:
 
 def _garment_of(garment: Draped) -> list[int]:
     """The garment of each panel of an outfit; empty for a single garment."""
-    outfit = garment.outfit if isinstance(garment, Sample) else None
+    outfit = garment.outfit
     return [number for number, worn in enumerate(outfit.garments if outfit else ()) for _ in worn.pattern.panels]
 
 
