@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from gcd_dataset.__main__ import main
+from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator import build_pattern
 from gcd_dataset.generator.garments import design_from_dict
