@@ -19,7 +19,7 @@ the two change places. ``closed`` is the probability that zip and buttons are cl
 [2, 2, 3, 2, 2]
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.resources import files
@@ -32,6 +32,7 @@ from gcd_dataset.errors import ConfigError, did_you_mean, shown
 from gcd_dataset.generator.dressing.frame import placed_outline
 from gcd_dataset.generator.garments.design import MetaDesign, choice_of
 from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.garments.sampling import HIPS_UNDER_SKIRT
 from gcd_dataset.jsonfile import read_toml
 from gcd_dataset.records import Body, Closure, Measurements, Outcome, Outfit, Pattern, WornGarment
 from gcd_dataset.shards.layout import MOST_GARMENTS
@@ -68,6 +69,12 @@ class WornDesign:
         bottoms = choice_of(self.design.space.of(MetaDesign), "bottom").weighted_options
         return any(bottom is not None and bottom.garment.legs for bottom in bottoms)
 
+    @property
+    def is_skirt(self) -> bool:
+        """Whether only skirts can be drawn, which hang on the hips."""
+        uppers = choice_of(self.design.space.of(MetaDesign), "upper").weighted_options
+        return set(uppers) == {None} and not self.may_have_legs
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -76,6 +83,11 @@ class Kind:
     weight: float
     worn: tuple[tuple[Overlay, float | None, float], ...]
     """Design and probabilities of ``tucked`` and ``closed`` of each garment; ``None``: never tucked."""
+
+    @cached_property
+    def has_skirt(self) -> bool:
+        """Whether one of its garments is a skirt, whatever is drawn."""
+        return any(WornDesign(design).is_skirt for design, _, _ in self.worn)
 
 
 @dataclass(frozen=True)
@@ -91,10 +103,12 @@ class Outfits:
         """Number of garments of the largest outfit."""
         return max(len(kind.worn) for kind in self.kinds)
 
-    def draw(self, rng: np.random.Generator) -> tuple[WornDesign, ...]:
-        """The garments of a random outfit, from the skin outwards."""
-        ends = np.cumsum([kind.weight for kind in self.kinds])
-        kind = self.kinds[int(np.searchsorted(ends[:-1], ends[-1] * rng.random(), side="right"))]
+    def draw(self, rng: np.random.Generator, wearers: Iterable[Measurements] = ()) -> tuple[WornDesign, ...]:
+        """The garments of a random outfit, from the skin outwards; without skirts where a wearer's hips hold none."""
+        holds = all(size.hips - size.waist >= HIPS_UNDER_SKIRT for size in wearers)
+        kinds = [kind for kind in self.kinds if holds or not kind.has_skirt] or self.kinds
+        ends = np.cumsum([kind.weight for kind in kinds])
+        kind = kinds[int(np.searchsorted(ends[:-1], ends[-1] * rng.random(), side="right"))]
         drawn = [
             WornDesign(one, rng.random() < (tucked or 0.0), rng.random() < closed) for one, tucked, closed in kind.worn
         ]

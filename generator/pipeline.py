@@ -207,7 +207,7 @@ def prepare(
     """
     wearers = _wearers(seed, number, config)
     sizes, counts = [wearer.cut_for for wearer in wearers], Counter(redraws)
-    outfit, own = config.worn(seed, number), own_number(number, len(under))
+    outfit, own = config.worn(seed, number, sizes), own_number(number, len(under))
     while len(rejects) < config.max_attempts:
         drawn, dressed = attempted_design(seed, own, len(rejects), sizes, outfit[len(under)].design), []
         counts += drawn.by_rule()

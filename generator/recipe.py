@@ -1,6 +1,7 @@
 """``MakeConfig``, the options of samples, and the recipe: those options that decide the samples' bytes."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cache
 from importlib.metadata import version
@@ -13,6 +14,7 @@ from gcd_dataset.generator.body.sizes import CHARTS, SizeChart, read_chart
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.outfits import OUTFITS, Outfits, WornDesign, read_outfits
 from gcd_dataset.options import Option
+from gcd_dataset.records import Measurements
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import Layout, garments_layout, recipe_hash
 
@@ -197,11 +199,11 @@ class MakeConfig:
         """Number of garments of the largest outfit."""
         return self.wardrobe.most if self.wardrobe else 1
 
-    def worn(self, seed: int, number: int) -> tuple[WornDesign, ...]:
+    def worn(self, seed: int, number: int, wearers: Sequence[Measurements]) -> tuple[WornDesign, ...]:
         """The garments of design ``number``, from the skin outwards; the same in all attempts."""
         if self.wardrobe is None:
             return (WornDesign(self.design),)
-        return self.wardrobe.draw(rng(seed, number, Stage.OUTFIT))
+        return self.wardrobe.draw(rng(seed, number, Stage.OUTFIT), wearers)
 
     @property
     def steps(self) -> tuple[int, int]:

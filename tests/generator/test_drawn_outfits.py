@@ -76,6 +76,13 @@ def test_kinds_are_drawn_by_weight_and_a_shirt_that_is_not_tucked_is_worn_over_t
     assert not any(one.may_have_legs for one in over)
 
 
+def test_no_skirt_is_drawn_for_hips_that_hold_none() -> None:
+    slim, outfits = replace(NEUTRAL, hips=NEUTRAL.waist + 5.0), read_outfits("everyday")
+    drawn = [[outfits.draw(rng(0, n, Stage.OUTFIT), wearers) for n in range(50)] for wearers in ([slim], [NEUTRAL])]
+    skirts = [sum(one.is_skirt for outfit in outfits for one in outfit) for outfits in drawn]
+    assert skirts[0] == 0 < skirts[1]
+
+
 @pytest.mark.parametrize(
     ("change", "to", "message"),
     [
