@@ -16,7 +16,7 @@ the two change places. ``closed`` is the probability that zip and buttons are cl
 >>> from gcd_dataset.seeding import Stage, rng
 >>> outfits = read_outfits("everyday")
 >>> [len(outfits.draw(rng(0, number, Stage.OUTFIT))) for number in range(5)]
-[2, 2, 3, 2, 2]
+[2, 2, 2, 3, 2]
 """
 
 from collections.abc import Iterable, Mapping, Sequence
