@@ -11,7 +11,17 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_body
     from gcd_dataset.generator.body.by_name import make_person
     from gcd_dataset.generator.body.sizes import SizeChart, read_chart
-    from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch, fabric_named, maps_of
+    from gcd_dataset.generator.drape import (
+        DrapeConfig,
+        DrapeJob,
+        Fabric,
+        drape_all,
+        drape_batch,
+        drape_outfit,
+        fabric_named,
+        layers_of,
+        maps_of,
+    )
     from gcd_dataset.generator.ease import ease_of
     from gcd_dataset.generator.garments import GarmentDesign, read_design, sample_design
     from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
@@ -38,12 +48,14 @@ __all__ = [
     "drape_all",
     "drape_batch",
     "drape_jacobian",
+    "drape_outfit",
     "draw_shape",
     "ease_of",
     "fabric_named",
     "fit",
     "fit_shape",
     "grade",
+    "layers_of",
     "make",
     "make_person",
     "maps_of",

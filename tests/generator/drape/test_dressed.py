@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.body.limbs import limbs_of
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, drape_outfit, layers_of
 from gcd_dataset.generator.drape.body_field import body_field
 from gcd_dataset.generator.drape.dressed import dressed
@@ -82,10 +83,11 @@ def test_a_sleeve_is_rolled_round_the_sleeve_below(shirt_and_trousers: tuple[Dra
     shirt, _ = shirt_and_trousers
     on_arm = WornCloth.of(shirt.box_mesh, shirt.box_mesh.vertices).parts == BodyPart.LEFT_ARM.value
     bare = sewing_start(shirt.box_mesh, shirt.body)
-    middle = bare[on_arm].mean(axis=0)
-    wider = replace(WornCloth.of(shirt.box_mesh, bare), vertices=middle + 1.5 * (bare - middle))
-    over = sewing_start(shirt.box_mesh, shirt.body, [wider])
-    assert np.ptp(over[on_arm, 2]) > 1.2 * np.ptp(bare[on_arm, 2])
+    arm = limbs_of(shirt.body)[BodyPart.LEFT_ARM]
+    wide = arm.world(arm.local(bare) * [2.0, 1.0, 1.0])
+    over = sewing_start(shirt.box_mesh, shirt.body, [replace(WornCloth.of(shirt.box_mesh, bare), vertices=wide)])
+    one, other = (np.ptp(arm.local(at[on_arm])[:, 0]) for at in (bare, over))
+    assert other > 1.2 * one
 
 
 def test_a_tucked_shirt_lies_inside_the_trousers(shirt_and_trousers: tuple[DrapeJob, DrapeJob]) -> None:
