@@ -96,7 +96,7 @@ class Outfits:
 
     kinds: tuple[Kind, ...]
     content: Mapping[str, Any]
-    """The file's content, which decides what is drawn."""
+    """The content of the file; it decides what is drawn."""
 
     @property
     def most(self) -> int:

@@ -156,7 +156,7 @@ class StoredGarment:
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Its panels, those of all garments, possibly without edges. Raises ``SpecError``."""
+        """The panels of all its garments; a panel may have no edges. Raises ``SpecError``."""
         worn = zip(self.meta.get("outfit", [self.meta]), self.specs, strict=True)
         return joined_pattern([_bare_pattern({**entry, "key": self.meta["key"]}, spec) for entry, spec in worn])
 

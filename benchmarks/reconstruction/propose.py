@@ -62,7 +62,7 @@ def propose(scan: Path, net: Network, count: int, folder: Path) -> None:
         found = net.proposals(torch.from_numpy(np.stack(views))[None].to(device), count, chance)
     else:
         placed = read_points(scan, net.config.stored_points) - [*CENTRE, 0.0, 0.0, 0.0]
-        placed = np.resize(placed, (net.config.stored_points, 6))  # those of a sparse scan are repeated
+        placed = np.resize(placed, (net.config.stored_points, 6))  # a sparse scan repeats its points
         found = net.proposals(scaled_points(placed[None].astype(np.float32), device), count, chance)
     make_folder(folder)
     for number, answer in enumerate(found):
