@@ -505,7 +505,7 @@ class Drape(Record):
     self_crossings: int
     """Number of cloth edges that cross a cloth triangle."""
     body_crossings: int
-    """Number of cloth edges that cross the body."""
+    """Number of cloth edges that cross the body, or a garment of the outfit under this one."""
     stretch_median: float
     """Median of length / flat length over the mesh edges; 1 is unstretched."""
     stretch_p99: float
@@ -513,7 +513,7 @@ class Drape(Record):
     strain: Strain | None = None
     """Principal stretches; ``None`` if not measured."""
     body_through: int = 0
-    """Number of body edges that cross the cloth; -1 where not counted: older versions, published data."""
+    """Number of edges of these that cross the cloth; -1 where not counted: older versions, published data."""
     reason: str = field(default="", compare=False)
     """Where a garment lies that slid off or fell, with heights [cm], or why it was refused; not stored in data sets."""
 

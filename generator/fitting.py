@@ -315,7 +315,7 @@ def drape_together(
     ]
     outfit = worn_outfit(garments, body)
     pattern = replace(joined_pattern(placed), name="outfit")
-    mesh, drape = joined_mesh(meshes, [len(one.seams) for one in placed]), joined_drape(drapes, outfit.layers)
+    mesh, drape = joined_mesh(meshes, [len(one.seams) for one in placed]), joined_drape(drapes)
     return fittings, Fitting(pattern, body, (), mesh, drape, {}, *seconds, outfit=outfit)
 
 
