@@ -31,7 +31,7 @@ from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, Reject, 
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.outfits import is_tucked, order_fault, worn_outfit
 from gcd_dataset.generator.pipeline import build_pattern
-from gcd_dataset.generator.render import render_garment
+from gcd_dataset.generator.render.plain import garment_scene, start_plain
 from gcd_dataset.generator.sized import Cut, lifted
 from gcd_dataset.generator.svg import nest_svg, pattern_svg
 from gcd_dataset.outfits import joined_drape, joined_mesh, joined_pattern
@@ -343,8 +343,9 @@ def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: 
 
     name, mesh, vertices = safe_name(fitting.pattern.name), fitting.box_mesh, fitting.drape.vertices
     make_folder(folder)
-    front, back = render_garment(vertices, mesh, fitting.body, size=PICTURE_SIZE, device=device)
-    for side, picture in {"front": front, "back": back, "pattern": draw_pattern(fitting.pattern)}.items():
+    scene, sides = garment_scene(vertices, mesh, fitting.body), ("front", "side", "back")
+    pictures = start_plain([scene], size=PICTURE_SIZE, sides=sides, device=device).lend_rgb()
+    for side, picture in zip((*sides, "pattern"), (*pictures, draw_pattern(fitting.pattern)), strict=True):
         write_whole(folder / f"{name}_{side}.png", png_bytes(picture))
     if fitting.maps is not None:
         content, maps = io.BytesIO(), fitting.maps

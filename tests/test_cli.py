@@ -238,7 +238,7 @@ def draped(tmp_path_factory: pytest.TempPathFactory) -> Draped:
 
 
 def test_drape_leaves_meshes_pictures_and_a_report(draped: Draped) -> None:
-    for ending in (".obj", ".mtl", ".ply", ".glb", "_front.png", "_back.png", "_pattern.png"):
+    for ending in (".obj", ".mtl", ".ply", ".glb", "_front.png", "_side.png", "_back.png", "_pattern.png"):
         assert (draped.out / f"garment{ending}").stat().st_size > 50
     assert draped.report["fabric"] == "denim"
     lines = (draped.out / "garment.obj").read_text().splitlines()

@@ -240,4 +240,5 @@ def test_drape_wears_files_in_the_order_given(
     assert [(row["inner"], row["outer"]) for row in report["layers"]] == [(0, 1)]
     assert b"garment_1" in (tmp_path / "out" / "outfit.glb").read_bytes()
     assert "o garment_1\n" in (tmp_path / "out" / "outfit.obj").read_text()
-    assert {"outfit.ply", "outfit_front.png", "outfit_back.png"} <= {p.name for p in (tmp_path / "out").iterdir()}
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"outfit.ply", "outfit_front.png", "outfit_side.png", "outfit_back.png"} <= written
