@@ -16,6 +16,7 @@ from gcd_dataset.loaders import (
     FakeGarments,
     GarmentDataset,
     GarmentLoader,
+    MixedDataset,
     OutfitCloth,
     Scan,
     Sketch,
@@ -125,6 +126,18 @@ def test_a_loader_packs_joined_outfits(folder: Path) -> None:
     assert OutfitCloth()(FakeGarments(1)[0])["garment_id"].unique().tolist() == [0]
     with pytest.raises(ConfigError, match="only some garments of the batch have verts"):
         OutfitCloth()({"g1_verts": torch.zeros(3, 3)})
+
+
+def test_outfits_are_mixed_with_single_garments(folder: Path) -> None:
+    """Joined, in batches of both."""
+    sets = GarmentDataset(folder, cache_dir=folder / "cache"), FakeGarments(4, seed=3)
+    batch = next(iter(GarmentLoader(MixedDataset(sets, [1, 1], transform=OutfitCloth()), 8)))
+    counts = sorted(
+        int(ids.max()) + 1 for ids in batch["garment_id"].split(batch.varlen("verts").cu_seqlens.diff().tolist())
+    )
+    assert counts == sorted([*COUNTS, 1, 1, 1, 1])
+    with pytest.raises(ConfigError, match=r"have g1_box, .*: choose the same fields for all, or OutfitCloth"):
+        next(iter(GarmentLoader(MixedDataset(sets, [1, 1]), 8)))
 
 
 def test_all_garments_turn_together(folder: Path) -> None:
