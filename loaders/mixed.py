@@ -49,8 +49,8 @@ class MixedDataset(Garments):
     only.
 
     ``transform`` is called with each item, after the transform of its own data set; ``OutfitCloth`` gives outfits and
-    single garments the same fields. Raises ``ConfigError`` for data
-    sets with different fields or ``dtype``, an empty data set, or weights other than one positive number for each.
+    single garments the same fields. Raises ``ConfigError`` for data sets with different fields or ``dtype``, an empty
+    data set, or weights other than one positive number for each.
     """
 
     endless = True

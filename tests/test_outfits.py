@@ -34,6 +34,7 @@ def test_a_crossing_of_two_garments_counts_once() -> None:
     sample = fake_outfit(0, 2)
     assert sample.outfit is not None and sample.drape is not None
     inner, outer = sample.outfit.garments
+    assert outer.drape is not None
     outer = replace(outer, drape=replace(outer.drape, self_crossings=3, body_crossings=2, body_through=4))
     outfit = replace(sample.outfit, garments=(inner, outer), layers=(Layer(0, 1, 6, 20, 0.0),))
     whole = joined(replace(sample, outfit=outfit)).drape

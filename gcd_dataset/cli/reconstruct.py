@@ -76,7 +76,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
     _require_own_names(options.scan, options.out)
     wearer = wearer_of(argparse.Namespace(**{**vars(options), "body": options.body or "neutral"}))
     wearer(False)  # an error of --body is no error of a scan
-    rows, folder = [], make_folder(options.out)
+    rows, folder = list[dict[str, Any]](), make_folder(options.out)
     with process_pool(options.workers) if options.workers > 1 else nullcontext(1) as pool:
         for scan in tqdm(options.scan, unit="scan", disable=options.quiet):
             _write_report(folder, [*rows, {"scan": str(scan), "error": "stopped before its design was found"}])

@@ -104,12 +104,12 @@ def traits_of(reader: ShardReader) -> Traits:
         edges = [worn_name(number, "edges") for number in range(len(meta.get("outfit", [meta])))]
         arrays = decode_fields(members, ["body", *edges])
         hashes = {field: _hash(np.ascontiguousarray(array).data) for field, array in arrays.items()}
-        is_common = not len(arrays["body"]) or meta["body"] == NEUTRAL
+        common = not len(arrays["body"]) or meta["body"] == NEUTRAL
         for number, field in enumerate(edges):
-            design = _hash(members[worn_name(number, DESIGN)])
-            rows.append((position, design, hashes["body"], hashes[field], is_common))
-    table = np.array(rows, np.int64)
-    return Traits(*table[:, :4].T, table[:, 4].astype(bool))
+            own = _hash(members[worn_name(number, DESIGN)])
+            rows.append((position, own, hashes["body"], hashes[field], common))
+    sample, design, body, pattern, is_common = np.array(rows, np.int64).T
+    return Traits(sample, design, body, pattern, is_common.astype(bool))
 
 
 def _hash(data: Bytes) -> int:
