@@ -65,7 +65,7 @@ def add_verbs(verbs: Any) -> None:
 def _reconstruct(options: argparse.Namespace) -> int:
     from tqdm.auto import tqdm
 
-    from gcd_dataset.files import make_folder
+    from gcd_dataset.files import make_folder, write_whole
     from gcd_dataset.generator.drape import resolve_device
     from gcd_dataset.generator.fitting import garment_name
     from gcd_dataset.generator.recipe import check_resolution
@@ -79,7 +79,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
     rows, folder = list[dict[str, Any]](), make_folder(options.out)
     with process_pool(options.workers) if options.workers > 1 else nullcontext(1) as pool:
         for scan in tqdm(options.scan, unit="scan", disable=options.quiet):
-            _write_report(folder, [*rows, {"scan": str(scan), "error": "stopped before its design was found"}])
+            row: dict[str, Any] = {"error": "stopped before its design was found"}
             for ending in (ENDINGS["spec"], DESIGNS[1:]):  # an answer of an earlier run
                 (folder / f"{garment_name(scan)}{ending}").unlink(missing_ok=True)
             try:
@@ -92,16 +92,11 @@ def _reconstruct(options: argparse.Namespace) -> int:
                 told = str(error) if str(error).startswith(str(scan)) else f"{scan}: {error}"
                 row = {"error": told}
                 print(f"gcd reconstruct: {told}", file=sys.stderr)
-            rows.append({"scan": str(scan), **row})
-            _write_report(folder, rows)
+            finally:
+                rows.append({"scan": str(scan), **row})
+                write_whole(folder / "report.json", (json.dumps({"scans": rows}, indent=1) + "\n").encode())
     print(f"{folder}: patterns, designs, drapes and report.json")
     return int(any("error" in row for row in rows))
-
-
-def _write_report(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
-    from gcd_dataset.files import write_whole
-
-    write_whole(folder / "report.json", (json.dumps({"scans": rows}, indent=1) + "\n").encode())
 
 
 def _require_own_names(scans: Sequence[Path], out: Path) -> None:
