@@ -210,6 +210,14 @@ def test_a_jacket_worn_open_is_not_tucked(garments: dict[str, Pattern]) -> None:
     assert "whose front is open" in order_fault([opened], garments["trousers"], NEUTRAL)
 
 
+def test_outfits_end_with_a_stage_before_the_drape(config: MakeConfig, alone: Sample) -> None:
+    [meshed] = produce(3, [1], replace(config, stage="mesh"))
+    assert meshed.outfit is not None and alone.outfit is not None
+    for found, draped in zip(meshed.outfit.garments, alone.outfit.garments, strict=True):
+        assert (found.box_mesh, found.drape) == (draped.box_mesh, None)
+    assert meshed.outfit.layers == ()
+
+
 def test_drape_wears_files_in_the_order_given(
     garments: dict[str, Pattern], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
