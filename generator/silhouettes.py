@@ -91,9 +91,7 @@ class Silhouettes:
             )
         return apart
 
-    def change(
-        self, jacobian: DrapeJacobian, step: float, offset: Float[np.ndarray, " d"]
-    ) -> Float[np.ndarray, " d"]:
+    def change(self, jacobian: DrapeJacobian, step: float, offset: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
         """The change of the parameters that brings the outlines of the linear map onto those of the pictures."""
         job, derivatives = jacobian.worn.job, jacobian.derivatives
 

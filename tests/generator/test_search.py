@@ -51,10 +51,10 @@ def test_parameters_are_found_on_a_linear_map(partial: bool, known: int) -> None
 
 
 def test_parameters_that_a_scan_does_not_show_go_back_to_the_proposal() -> None:
-    shown = np.array([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]])
+    shown = np.array([[80.0, 80.0, 80.0], [0.0, 0.0, 0.0]])  # cm from end to end of the range
 
     def rows(change: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, float]]:
-        return [(change @ shown - 0.05, shown, 1.0)]
+        return [(change @ shown - 4.0, shown, 1.0)]
 
     assert gauss_newton(rows, 0.1, np.array([0.0, 0.04])) == pytest.approx([0.05, -0.04], abs=0.02)
 
