@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.body.by_name import named_body
     from gcd_dataset.generator.body.measuring import measure
     from gcd_dataset.generator.body.mesh_bodies import read_body
-    from gcd_dataset.generator.body.pose import draw_pose, named_pose, pose_body
+    from gcd_dataset.generator.body.pose import named_pose, pose_body
     from gcd_dataset.generator.body.shape import (
         build_body,
         draw_shape,
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 __all__ = [
     "FittedShape",
     "build_body",
-    "draw_pose",
     "draw_shape",
     "fit_shape",
     "measure",

@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.generator.body.asset import body_model, checked_data, refinement, stored_half
 from gcd_dataset.generator.body.repair import ROUNDS, skin_normals
-from gcd_dataset.generator.body.self_contact import skin_crossings
 from gcd_dataset.generator.body.shape import body_skin, stand
 from gcd_dataset.jsonfile import read_json
 from gcd_dataset.records import Body, Pose, Record
@@ -74,21 +73,6 @@ POSES = {  # bend, spread and twist [degrees] of both sides; of the left, then o
         "right_upper_arm": (20, -12, 0), "forearm": (15, 0, 0),
     },
 }  # fmt: skip
-STANDING = "standing"
-DRAWN = {  # ranges of ``draw_pose``, uniform; of each side on its own [degrees]
-    "lower_spine": ((-4, 8), (-5, 5), (-8, 8)),
-    "upper_spine": ((-4, 8), (-5, 5), (-8, 8)),
-    "neck": ((-8, 8), (-6, 6), (-15, 15)),
-    "head": ((-8, 8), (-6, 6), (-15, 15)),
-    "shoulder": ((-5, 8), (-3, 8), (0, 0)),
-    "upper_arm": ((-25, 40), (-25, 30), (-25, 25)),
-    "forearm": ((0, 40), (0, 0), (-20, 20)),
-    "hand": ((-15, 15), (-8, 8), (0, 0)),
-}
-STRIDE, KNEES, STANCE = 12.0, (0.0, 12.0), (1.0, 9.0)
-"""Of ``draw_pose`` [degrees]: largest bend of one thigh, the other bending as far back; bend of both knees, and spread
-of both legs. The feet turn back, so that the soles stay level."""
-SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)  # of a drawn pose, until the body does not touch itself
 ANGLES = ("bend", "spread", "twist")
 BODIES = "a name such as neutral or female:7"
 ROUNDING = 1e-6  # degrees beyond a limit, by conversion from radians
@@ -131,7 +115,7 @@ def _axes(joints: Float[np.ndarray, "b 3"]) -> Float[np.ndarray, "b 3 3"]:
     """Axes of bend, spread and twist: bend moves the tip of a bone forward, spread away from the other side."""
     axes = np.empty((len(BONES), 3, 3))
     for number, bone in enumerate(BONES):
-        side, kind = _side_and_kind(bone)
+        side, kind = side_and_kind(bone)
         parent, tip = TREE[kind]
         if tip in TREE:
             start = side + (parent if tip == kind else kind)
@@ -146,21 +130,21 @@ def _axes(joints: Float[np.ndarray, "b 3"]) -> Float[np.ndarray, "b 3 3"]:
     return axes
 
 
-def _side_and_kind(bone: str) -> tuple[str, str]:
+def side_and_kind(bone: str) -> tuple[str, str]:
     side = next((side for side in ("left_", "right_") if bone.startswith(side)), "")
     return side, bone.removeprefix(side)
 
 
 def _parent(bone: str) -> str:
     """The bone on which a bone turns; empty for the root."""
-    side, kind = _side_and_kind(bone)
+    side, kind = side_and_kind(bone)
     parent = TREE[kind][0]
     return parent if parent in ("", *TRUNK) else side + parent
 
 
 def _across(bone: str) -> str:
     """The bone of the other side; a bone of the trunk itself."""
-    side, kind = _side_and_kind(bone)
+    side, kind = side_and_kind(bone)
     return kind if not side else ("right_" if side == "left_" else "left_") + kind
 
 
@@ -230,7 +214,7 @@ def require_possible(pose: Pose) -> None:
             raise BodyError(f"pose {shown(pose.name)}: no bone named {shown(str(bone))}: there are {', '.join(BONES)}")
         if np.shape(turn) != (3,) or not np.isfinite(turn).all():
             raise BodyError(f"pose {shown(pose.name)}: {bone} is {turn}: give bend, spread and twist as three numbers")
-        for name, angle, (low, high) in zip(ANGLES, np.degrees(turn), LIMITS[_side_and_kind(bone)[1]], strict=True):
+        for name, angle, (low, high) in zip(ANGLES, np.degrees(turn), LIMITS[side_and_kind(bone)[1]], strict=True):
             if not low - ROUNDING <= angle <= high + ROUNDING:
                 raise BodyError(
                     f"pose {shown(pose.name)}: {bone} has a {name} of {angle:.1f}°: give one from {low}° to {high}°"
@@ -269,25 +253,3 @@ def _radians(turn: Any) -> Any:
         return tuple(float(angle) for angle in np.radians(np.asarray(turn, float)))
     except (TypeError, ValueError):
         return (np.nan, np.nan, np.nan)
-
-
-def draw_pose(rng: np.random.Generator, body: Body) -> Pose:
-    """A random standing pose in which the body does not touch itself, its bones within 45° of the A-pose.
-
-    Trunk and arms are drawn from ``DRAWN``, legs from ``STRIDE``, ``KNEES`` and ``STANCE``; all angles are scaled down
-    in steps of a fifth until the skin of ``body`` does not cross itself.
-    """
-    drawn: dict[str, Any] = {
-        bone: rng.uniform(*zip(*DRAWN[_side_and_kind(bone)[1]], strict=True))
-        for bone in BONES
-        if _side_and_kind(bone)[1] in DRAWN
-    }
-    stride, knees, stance = rng.uniform(-STRIDE, STRIDE), rng.uniform(*KNEES), rng.uniform(*STANCE)
-    for side, ahead in (("left_", stride), ("right_", -stride)):
-        drawn |= {f"{side}thigh": (ahead + knees, stance, 0.0), f"{side}shin": (-2 * knees, 0.0, 0.0)}
-        drawn |= {f"{side}foot": (knees - ahead, -stance, 0.0)}
-    for share in SHARES:
-        pose = pose_of({bone: share * np.asarray(turn) for bone, turn in drawn.items()}, STANDING)
-        if not skin_crossings(pose_body(body, pose)):
-            return pose
-    return Pose({}, STANDING)

@@ -12,9 +12,10 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body import build_body, draw_pose, draw_shape, named_pose, named_shape, pose_body
+from gcd_dataset.generator.body import build_body, draw_shape, named_pose, named_shape, pose_body
 from gcd_dataset.generator.body.pose import BONES, POSES, pose_of, rig
-from gcd_dataset.generator.body.self_contact import skin_crossings
+from gcd_dataset.generator.drape.self_contact import skin_crossings
+from gcd_dataset.generator.standing import draw_pose
 from gcd_dataset.records import Body, Pose
 from gcd_dataset.seeding import Stage, rng
 

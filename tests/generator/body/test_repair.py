@@ -14,7 +14,7 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.repair import ROUNDS, WIDEST_HOLE, ClosedSkin, SkinMesh, skin_normals
-from gcd_dataset.generator.body.self_contact import skin_crossings
+from gcd_dataset.generator.drape.self_contact import skin_crossings
 from gcd_dataset.records import Body, BodyPart
 from gcd_dataset.seeding import Stage, rng
 from tests.helpers import body_from
