@@ -153,9 +153,7 @@ def pose_body(body: Body, pose: Pose) -> Body:
 
     Raises ``BodyError`` for a body with another mesh, and for a pose outside ``LIMITS``.
     """
-    require_possible(pose)
-    if not np.array_equal(body.faces, body_model().faces):
-        raise BodyError(f"{body.name}: not a mesh of the body model, which alone can be posed: give {BODIES}")
+    require_possible(pose, body)
     if not pose.turns:
         return body
     joints, turns, moved = rig().carriers @ body.vertices, {}, {}
@@ -207,8 +205,13 @@ def _turned(vectors: Float[np.ndarray, "n 3"], rotations: Float[np.ndarray, "n 4
     return vectors + 2.0 * np.cross(axis, np.cross(axis, vectors) + w * vectors)
 
 
-def require_possible(pose: Pose) -> None:
-    """Raise ``BodyError`` for an unknown bone, for angles that are no numbers, and for angles outside ``LIMITS``."""
+def require_possible(pose: Pose, body: Body | None = None) -> None:
+    """Raise ``BodyError`` for a body with another mesh than the body model's, and for an impossible pose.
+
+    A pose is impossible with an unknown bone, with angles that are no numbers, and with angles outside ``LIMITS``.
+    """
+    if body is not None and not np.array_equal(body.faces, body_model().faces):
+        raise BodyError(f"{body.name}: not a mesh of the body model, which alone can be posed: give {BODIES}")
     for bone, turn in pose.turns.items():
         if bone not in BONES:
             raise BodyError(f"pose {shown(pose.name)}: no bone named {shown(str(bone))}: there are {', '.join(BONES)}")

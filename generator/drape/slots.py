@@ -4,6 +4,7 @@ The buffers have a fixed size, so the captured graphs stay valid. A garment take
 faces in proportion; its drape does not depend on its place.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -14,9 +15,11 @@ import warp as wp
 from gcd_dataset.generator.device import launch_lock, to_host
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.kernels import place as kernels
+from gcd_dataset.generator.drape.kernels.moving import begin_motion
 from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, Placement, VertexState
 from gcd_dataset.generator.drape.kernels.world import DONE
 from gcd_dataset.generator.drape.model import ClothModel, ClothState, empty_model
+from gcd_dataset.generator.drape.moving import Motion, MovingSkin, own_skin
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drape.topology import WARP
 from gcd_dataset.generator.mesh import CoarseMesh
@@ -125,6 +128,28 @@ class Slots:
             self._write(new, starts, worlds)
         return worlds
 
+    def move(self, w: int, motion: Motion) -> None:
+        """Let the body of a garment at rest move; the garment rests once the body does."""
+        solver, model, state = self.solver, self.solver.model, self.solver.state
+        shared = model.bodies[w]
+        assert shared is not None
+        with launch_lock:
+            body = model.bodies[w] = own_skin(shared)
+            row = self._rows[w : w + 1]
+            frame, first = float(row["frame"][0]), int(row["first"][0])
+            skin = MovingSkin(w, body.mesh, motion, math.ceil(motion.seconds / frame), frame)
+            row["skin"] = self._meshes[w] = body.mesh.id
+            row["lowest"] -= max(motion.drop, 0.0)
+            row["max_frames"] = skin.frames + solver.config.max_frames
+            model.worlds.assign(self._rows)
+            model.cloth.body_mesh.assign(self._meshes)
+            outputs = [state.x, state.v, state.ahead, state.ahead_next, state.x_seen, state.time, state.status]
+            outputs += [state.frames, state.held, state.loose_after, state.crossing]
+            inputs = [w, first, (skin.frames + 1.5) * frame]
+            self._launch(begin_motion, int(row["size"][0]), inputs, outputs)
+        solver.moving[w] = skin
+        solver.rebuild_bvh_next()
+
     def free(self, worlds: Sequence[int]) -> None:
         """Give up the places of garments."""
         if not worlds:
@@ -135,6 +160,7 @@ class Slots:
             self._give_back(first, size)
         self._rows["size"][list(worlds)] = 0
         for w in worlds:
+            self.solver.moving.pop(w, None)
             model.bodies[w] = None
             model.vertices[w] = model.edges[w] = model.faces[w] = slice(0, 0)
         threads = 1 if model.device == "cpu" else THREADS

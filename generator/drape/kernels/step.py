@@ -90,9 +90,18 @@ def step(
     if held[w] != 0:
         moved += hold(i, here + moved, before, world, cloth)
     skin = search.skin[i]
+    carried = wp.vec3(0.0)
+    if world.skin != wp.uint64(0):  # the plane that stands for the skin moves with it
+        carried = world.dt * search.skin_velocity[i]
+        skin[3] -= carried[0] * skin[0] + carried[1] * skin[1] + carried[2] * skin[2]
+        search.skin[i] = skin
+        if i == world.first:
+            cloth.skin_lag[w] = cloth.skin_lag[w] + world.dt
+        if before_search and wp.length_sq(carried) > 0.0:
+            search.moved_far[w] = 1
     if skin[3] < world.clear:
         friction = skin_friction(world, held[w], cloth.keeper[i] != wp.uint8(0))
-        moved += keep_off_body(here + moved, before, pressure, friction, world, skin, search.x[i])
+        moved += keep_off_body(here + moved, before + carried, pressure, friction, world, skin, search.x[i])
     here += moved
     velocity = limit_speed(velocity + moved / world.dt, world.max_speed)
     x[i] = here

@@ -54,6 +54,8 @@ class World:
     field_size: wp.vec3i  # voxels along x, y, z
     field_origin: wp.vec3  # cm, centre of the first voxel
     field_cell: float  # cm
+    skin: wp.uint64  # mesh of a skin that moves, which stands for the field; 0 for one that stands still
+    face_parts: wp.array(dtype=wp.uint8)  # body part of each face of the skin
     tucked_below: float  # cm, height below which the cloth is tucked into another garment
     tuck: float  # cm, largest distance of tucked cloth from the skin
     worn: wp.array(dtype=wp.uint64)  # meshes of the garments under this one
@@ -81,6 +83,7 @@ class ClothArrays:
     keeper: wp.array(dtype=wp.uint8)  # (v) 1 where a vertex keeps the garment up
     ignored_parts: wp.array(dtype=int)  # (v) bit set of the body parts that the vertex passes through
     body_mesh: wp.array(dtype=wp.uint64)  # (w) mesh of the skin
+    skin_lag: wp.array(dtype=float)  # (w) time since a skin that moves was where its mesh is [s]
 
 
 @wp.struct
@@ -118,6 +121,7 @@ class SearchState:
 
     x: wp.array(dtype=wp.vec3)  # (v) positions at the last search [cm]
     skin: wp.array(dtype=wp.vec4)  # (v) the skin at the last search: normal, distance [cm], see ``find_skin``
+    skin_velocity: wp.array(dtype=wp.vec3)  # (v) velocity of that skin [cm/s]
     listed: wp.array(dtype=int)  # (v) 1 where the vertex is in any contact list
     moved_far: wp.array(dtype=int)  # (w) 1 where a vertex has moved more than ``World.travel`` since the last search
     searching: wp.array(dtype=int)  # (w) 1 in the worlds of the present search
