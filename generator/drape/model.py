@@ -134,6 +134,7 @@ def build_model(
     cloth.axes = wp.array(np.concatenate([body.axes for body in bodies]), dtype=wp.vec3, device=device)
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
     cloth.skin_lag = wp.zeros(len(jobs), dtype=float, device=device)
+    cloth.skin_velocity = wp.zeros(len(topology.mass), dtype=wp.vec3, device=device)
     face_world = np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset))
     parameters = wp.array(worlds, dtype=World, device="cpu").numpy()
     return ClothModel(
@@ -170,6 +171,7 @@ def empty_model(room: int, worlds: int, width: int, device: str, *, coupled: boo
     cloth.own_part, cloth.keeper, cloth.ignored_parts = make(room, int), make(room, wp.uint8), make(room, int)
     cloth.axes = wp.zeros((2 * worlds + 2, len(AXES)), dtype=wp.vec3, device=device)
     cloth.body_mesh, cloth.skin_lag = make(worlds + 1, wp.uint64), make(worlds + 1, float)
+    cloth.skin_velocity = make(room, wp.vec3)
     nowhere = slice(0, 0)
     return ClothModel(
         device=device,
@@ -332,7 +334,6 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
     ones = partial(wp.ones, dtype=int, device=model.device)
     search, counts, crossing = SearchState(), FrameCounts(), CrossingWatch()
     search.x, search.skin, search.listed = wp.clone(start), zeros(n, wp.vec4), zeros(n, int)
-    search.skin_velocity = zeros(n, wp.vec3)
     search.moved_far, search.searching, search.any_search = ones(worlds), zeros(worlds, int), zeros(1, int)
     counts.moving, counts.fast, counts.keeper_height = (zeros(worlds, int) for _ in range(3))
     counts.above_floor = zeros(worlds, int)

@@ -169,7 +169,8 @@ def push_long_edge(
     for quarter in range(1, 4):
         t = 0.25 * float(quarter)
         before = wp.lerp(x[i], x[j], t)
-        carried = skin_velocity(world, before)  # positions relative to the mesh, which lags behind the skin
+        # Positions relative to the mesh, which lags behind the skin.
+        carried = wp.lerp(cloth.skin_velocity[i], cloth.skin_velocity[j], t)
         before -= cloth.skin_lag[cloth.vertex_world[i]] * carried
         here = before + world.dt * (wp.lerp(v[i], v[j], t) - carried)
         near = sample_field(world, here)

@@ -79,7 +79,11 @@ def step(
     world = worlds[w]
     before = x[i]
     elastic = elastic_force(i, sewn_share(world, time[w]), rows, ahead_in)
-    velocity = accelerate(i, world, time[w], cloth, v[i], elastic)
+    if world.skin != wp.uint64(0):  # drag on the motion relative to the skin: it is no air
+        along = cloth.skin_velocity[i]
+        velocity = along + accelerate(i, world, time[w], cloth, v[i] - along, elastic)
+    else:
+        velocity = accelerate(i, world, time[w], cloth, v[i], elastic)
     moved = wp.vec3(0.0)
     pressure = float(0.0)
     if search.listed[i] != 0:
@@ -92,7 +96,7 @@ def step(
     skin = search.skin[i]
     carried = wp.vec3(0.0)
     if world.skin != wp.uint64(0):  # the plane that stands for the skin moves with it
-        carried = world.dt * search.skin_velocity[i]
+        carried = world.dt * cloth.skin_velocity[i]
         skin[3] -= carried[0] * skin[0] + carried[1] * skin[1] + carried[2] * skin[2]
         search.skin[i] = skin
         if i == world.first:

@@ -83,6 +83,7 @@ class ClothArrays:
     keeper: wp.array(dtype=wp.uint8)  # (v) 1 where a vertex keeps the garment up
     ignored_parts: wp.array(dtype=int)  # (v) bit set of the body parts that the vertex passes through
     body_mesh: wp.array(dtype=wp.uint64)  # (w) mesh of the skin
+    skin_velocity: wp.array(dtype=wp.vec3)  # (v) velocity of the nearest skin at the last search [cm/s]
     skin_lag: wp.array(dtype=float)  # (w) time since a skin that moves was where its mesh is [s]
 
 
@@ -121,7 +122,6 @@ class SearchState:
 
     x: wp.array(dtype=wp.vec3)  # (v) positions at the last search [cm]
     skin: wp.array(dtype=wp.vec4)  # (v) the skin at the last search: normal, distance [cm], see ``find_skin``
-    skin_velocity: wp.array(dtype=wp.vec3)  # (v) velocity of that skin [cm/s]
     listed: wp.array(dtype=int)  # (v) 1 where the vertex is in any contact list
     moved_far: wp.array(dtype=int)  # (w) 1 where a vertex has moved more than ``World.travel`` since the last search
     searching: wp.array(dtype=int)  # (w) 1 in the worlds of the present search
