@@ -250,6 +250,11 @@ def pose_of(degrees: Mapping[str, Any], name: str) -> Pose:
     return Pose({bone: _radians(turn) for bone, turn in whole.items()}, name)
 
 
+def pose_degrees(pose: Pose) -> dict[str, list[float]]:
+    """The angles of a pose as its JSON file has them."""
+    return {bone: np.degrees(turn).round(6).tolist() for bone, turn in pose.turns.items()}
+
+
 def _radians(turn: Any) -> Any:
     """The angles in radians, or what is not three numbers as it is, for ``require_possible`` to name."""
     try:

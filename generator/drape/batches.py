@@ -108,7 +108,11 @@ class Pass:
 
     def moves_after(self, drape: Drape) -> bool:
         """Whether the body moves to its pose after ``drape``, at the end of a fine pass."""
-        return self.fine.pose is not None and self.rested is None and drape.outcome in KEEPS_CROSSINGS
+        return (
+            self.fine.pose is not None
+            and self.rested is None
+            and drape.outcome in (*KEEPS_CROSSINGS, Outcome.NOT_SETTLED)
+        )
 
     def sewing_time(self, config: DrapeConfig) -> float:
         """The time over which the seams close in this pass [s]: doubled with each earlier drape."""
@@ -337,6 +341,8 @@ class Lane:
                 ended.remove(w)
                 continue
             whole = replace(drape, frames=drape.frames + passes[w].frames_before)
+            if passes[w].fine.pose and not passes[w].rested:
+                whole = replace(whole, reason=f"before the body moved{': ' if whole.reason else ''}{whole.reason}")
             every = (*passes[w].earlier, whole)
             if drape.outcome is Outcome.OVERFULL and passes[w].room_factor < MOST_ROOM:
                 self._waiting.append(passes[w].with_more_room())
