@@ -272,7 +272,7 @@ def test_drape_moves_the_body_to_a_pose(tmp_path: Path, capsys: pytest.CaptureFi
     bent.write_text('{"upper_arm": [0, -48, 0], "left_thigh": [20, 5, 0]}')
     options = ["drape", str(spec), "--out", str(out), "--resolution", "8", "--device", "cpu", "--quiet"]
     for wrong, told in ((["lotus"], "no pose named lotus"), ([str(bent), "--maps"], "--maps and --outfit")):
-        assert main([*options, "--pose", *wrong]) == 1
+        assert main([*options, "--pose", *wrong]) != 0
         assert told in one_line(capsys.readouterr().err)
         assert not out.exists()
     assert main([*options, "--pose", str(bent), "--allow-unsettled"]) == 0

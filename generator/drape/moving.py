@@ -38,15 +38,18 @@ class Motion:
     """The body in its last position."""
     keys: tuple[Float32[np.ndarray, "w 3"], ...]
     """Positions of the skin's vertices at equal intervals [cm]; the first are those of the body that moves."""
+    home: Float32[np.ndarray, "w 3"]
+    """Positions in the A-pose, in which measures are taken [cm]."""
     trunk: Bool[np.ndarray, " w"]
     """Whether a vertex belongs to the trunk."""
 
     @classmethod
-    def of(cls, bodies: Sequence[Body]) -> Self:
-        """The motion through some bodies of one mesh."""
+    def of(cls, bodies: Sequence[Body], home: Body | None = None) -> Self:
+        """The motion through some bodies of one mesh; ``home``: the body in the A-pose, if it is not the first."""
         keys = tuple(closed_skin(body)[0].astype(np.float32) for body in bodies)
         trunk = bodies[0].parts == BodyPart.TRUNK.value
-        return cls(bodies[-1], keys, np.pad(trunk, (0, len(keys[0]) - len(trunk))))
+        at_home = keys[0] if home is None else closed_skin(home)[0].astype(np.float32)
+        return cls(bodies[-1], keys, at_home, np.pad(trunk, (0, len(keys[0]) - len(trunk))))
 
     @classmethod
     def to_pose(cls, body: Body, pose: Pose) -> Self:
@@ -70,8 +73,8 @@ class Motion:
         return float((self.keys[0] - self.keys[-1])[self.trunk, 1].mean())
 
     def undone(self, points: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
-        """Points at the end of the motion [cm], moved with the trunk back to its start."""
-        before, after = self.keys[0][self.trunk], self.keys[-1][self.trunk]
+        """Points at the end of the motion [cm], moved with the trunk back to the A-pose."""
+        before, after = self.home[self.trunk], self.keys[-1][self.trunk]
         turn, _ = Rotation.align_vectors(before - before.mean(axis=0), after - after.mean(axis=0))
         return np.asarray(turn.apply(points - after.mean(axis=0)) + before.mean(axis=0))
 
@@ -87,6 +90,8 @@ class MovingSkin:
     """Frames that the motion takes."""
     seconds: float
     """Length of a frame [s]."""
+    gently: bool = True
+    """Start and stop gently; otherwise the motion goes on before and after."""
     frame: int = 0
 
     def advance(self, state: "ClothState", cloth: ClothArrays) -> None:
@@ -102,7 +107,8 @@ class MovingSkin:
 
     def _at(self, frame: int) -> Float32[np.ndarray, "w 3"]:
         share = min(frame / self.frames, 1.0)
-        along = share * share * (3.0 - 2.0 * share) * (len(self.motion.keys) - 1)
+        share = share * share * (3.0 - 2.0 * share) if self.gently else share
+        along = share * (len(self.motion.keys) - 1)
         number = min(int(along), len(self.motion.keys) - 2)
         start, end = self.motion.keys[number : number + 2]
         return np.asarray(start + np.float32(along - number) * (end - start), np.float32)

@@ -6,11 +6,12 @@ faces in proportion; its drape does not depend on its place.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 import warp as wp
+from jaxtyping import Float
 
 from gcd_dataset.generator.device import launch_lock, to_host
 from gcd_dataset.generator.drape.config import DrapeConfig
@@ -25,6 +26,7 @@ from gcd_dataset.generator.drape.topology import WARP
 from gcd_dataset.generator.mesh import CoarseMesh
 from gcd_dataset.records import BoxMesh
 
+ENDLESS = 1 << 30  # frames
 WIDTH = 12  # edges and faces of a vertex for which there is room at least
 MIN_FRAMES = 4  # frames of the fine mesh before it may count as at rest
 VERTEX_STATE = ("x", "v", "ahead", "x_seen", "contact_weight", "beside", "tangled", "push")
@@ -48,6 +50,15 @@ class CoarseEnd:
     held: int
     overfull: int
     """1 where a contact list was full: which contacts were dropped is not deterministic, nor is the drape."""
+
+    @classmethod
+    def at_rest(cls, vertices: Float[np.ndarray, "v 3"], time: float, device: str) -> Self:
+        """A start of the same mesh at rest, released from holds, ``time`` seconds after the start of the drape."""
+        same = np.repeat(np.arange(len(vertices), dtype=np.int32)[:, None], 3, axis=1)
+        x = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=device)
+        weights = wp.array(np.tile(np.eye(3, dtype=np.float32)[0], (len(vertices), 1)), dtype=wp.vec3, device=device)
+        corners = wp.array(same, dtype=wp.vec3i, device=device)
+        return cls(corners, weights, x, wp.zeros_like(x), time, held=0, overfull=0)
 
     @classmethod
     def of(cls, mesh: CoarseMesh, state: ClothState, at: slice, *, time: float, held: int, overfull: int) -> Self:
@@ -128,8 +139,8 @@ class Slots:
             self._write(new, starts, worlds)
         return worlds
 
-    def move(self, w: int, motion: Motion) -> None:
-        """Let the body of a garment at rest move; the garment rests once the body does."""
+    def move(self, w: int, motion: Motion, *, ends: bool = True) -> None:
+        """Let the body of a garment at rest move; the drape ends once both are at rest, or not at all."""
         solver, model, state = self.solver, self.solver.model, self.solver.state
         shared = model.bodies[w]
         assert shared is not None
@@ -140,15 +151,21 @@ class Slots:
             skin = MovingSkin(w, body.mesh, motion, math.ceil(motion.seconds / frame), frame)
             row["skin"] = self._meshes[w] = body.mesh.id
             row["lowest"] -= max(motion.drop, 0.0)
-            row["max_frames"] = skin.frames + solver.config.max_frames
+            row["max_frames"] = skin.frames + solver.config.max_frames if ends else ENDLESS
             model.worlds.assign(self._rows)
             model.cloth.body_mesh.assign(self._meshes)
             outputs = [state.x, state.v, state.ahead, state.ahead_next, state.x_seen, state.time, state.status]
             outputs += [state.frames, state.held, state.loose_after, state.crossing]
-            inputs = [w, first, (skin.frames + 1.5) * frame]
+            inputs = [w, first, (skin.frames + 1.5 if ends else ENDLESS) * frame]
             self._launch(begin_motion, int(row["size"][0]), inputs, outputs)
         solver.moving[w] = skin
         solver.rebuild_bvh_next()
+
+    def move_on(self, w: int, motion: Motion, seconds: float) -> None:
+        """Let a body that moves without an end move further, in the nearest number of frames to a time [s]."""
+        skin = self.solver.moving[w]
+        frames = max(round(seconds / skin.seconds), 1)
+        self.solver.moving[w] = replace(skin, motion=motion, frames=frames, gently=False, frame=0)
 
     def free(self, worlds: Sequence[int]) -> None:
         """Give up the places of garments."""

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import named_pose, pose_body
-from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, drape_motion
 from gcd_dataset.generator.drape import moving as moving_module
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.moving import Motion
@@ -115,3 +115,18 @@ def test_impossible_poses_cost_no_other_garment(tee: DrapeJob) -> None:
     worn = WornCloth.of(tee.box_mesh, tee.box_mesh.vertices)
     with pytest.raises(ConfigError, match="cannot move"):
         replace(tee, pose=named_pose("t-pose"), under=(worn,))
+
+
+def test_a_motion_yields_a_drape_for_each_pose() -> None:
+    """A skirt on a walking body keeps its waist and stays clear of the legs; a motion without poses yields nothing."""
+    body, size = neutral()
+    design = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.3}})
+    job = DrapeJob(build_box_mesh(draw_garment(size, design), spacing=5.0), body, size)
+    steps = np.radians(4.0 * np.arange(4))
+    walk = [Pose({"left_thigh": (a, 0.0, 0.0), "right_thigh": (-a, 0.0, 0.0)}) for a in steps]
+    drapes = list(drape_motion(job, walk, device="cpu"))
+    assert [drape.outcome for drape in drapes] == [Outcome.SETTLED] * 4
+    assert max(drape.body_crossings for drape in drapes) < 10  # of 5 cm edges, which only a garment at rest has cleared
+    hems = [np.sort(drape.vertices[:, 2])[-10:].mean() for drape in drapes]
+    assert hems[3] > hems[0] + 0.5  # the left thigh lifts the front
+    assert list(drape_motion(job, [], device="cpu")) == []
