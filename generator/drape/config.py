@@ -124,11 +124,11 @@ class DrapeJob:
     drape computes them."""
     tucked_below: float = -np.inf
     """Height below which the cloth is tucked into another garment, and stays near the skin [cm]."""
-    pose: Pose | None = None
-    """The garment drapes on ``body``, which then moves to this pose, and comes to rest there; None: it stays."""
     under: tuple[WornCloth, ...] = ()
     """The garments on the body under this one, from the skin outwards: this one drapes over them, and they stay as they
     are. Its crossings with them count as crossings with the body."""
+    pose: Pose | None = None
+    """The garment drapes on ``body``, which then moves to this pose, and comes to rest there; None: it stays."""
 
     def __post_init__(self) -> None:
         if self.pose is not None and self.under:
