@@ -118,6 +118,7 @@ def find_near_vertices(
     # state out
     x_searched: wp.array(dtype=wp.vec3),
     skin: wp.array(dtype=wp.vec4),
+    velocity: wp.array(dtype=wp.vec3),
     beside: wp.array(dtype=int),
     contacts: Contacts,
 ):
@@ -133,8 +134,8 @@ def find_near_vertices(
     p = x[i]
     if thread == 0:
         x_searched[i] = p
-        cloth.skin_velocity[i] = skin_velocity(world, p)
-        skin[i] = find_skin(i, p - cloth.skin_lag[w] * cloth.skin_velocity[i], world, cloth)
+        velocity[i] = skin_velocity(world, p)
+        skin[i] = find_skin(i, p - cloth.skin_lag[w] * velocity[i], world, cloth)
     own = cell_of(p, world.near)
     for neighbour in range(OWN_CELL + thread, 27, threads):
         cell = own + wp.vec3i(neighbour % 3 - 1, (neighbour // 3) % 3 - 1, neighbour // 9 - 1)
