@@ -115,6 +115,17 @@ class BodyShape(Record):
     """Whether the feet are set apart, as trousers need; otherwise the legs are straight."""
 
 
+@dataclass(frozen=True)
+class Pose:
+    """Rotations of bones from the A-pose; bones without one stay as they are."""
+
+    turns: Mapping[str, tuple[float, float, float]]
+    """Bone to bend, spread and twist: a rotation vector in the axes of the bone, which turns relative to its parent
+    [rad]. Bend moves the tip of the bone forward, spread away from the middle of the body, twist turns its front
+    outwards; of the trunk, bend is forward, spread and twist are to its left. Bones: ``generator.body.pose.BONES``."""
+    name: str = "pose"
+
+
 @dataclass(frozen=True, eq=False)
 class Body(Record):
     """A body mesh with part labels; its soles are at y = 0."""

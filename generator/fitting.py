@@ -20,6 +20,7 @@ from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError, SpecError
 from gcd_dataset.faults import Severity, require_valid
 from gcd_dataset.files import make_folder, safe_name, write_whole
+from gcd_dataset.generator.body.pose import pose_body, pose_degrees
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, drape_outfit
 from gcd_dataset.generator.drapers import DrapeReply
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
@@ -47,6 +48,7 @@ from gcd_dataset.records import (
     Outcome,
     Outfit,
     Pattern,
+    Pose,
     WornGarment,
 )
 from gcd_dataset.release.published_names import ENDINGS
@@ -221,16 +223,18 @@ def drape_patterns(
     resolution: float = 1.0,
     device: str = "auto",
     maps: bool = False,
+    pose: Pose | None = None,
 ) -> Iterator[Fitting | Refusal]:
     """Drape each pattern on a body, in batches as large as suits the device; yields the fittings in order.
 
     ``wearer(legs_apart)`` returns the body and its measures; legs are apart for garments with legs, so that the thighs
     do not touch. Values missing from a file are assumed (see ``dress``), logged and recorded in the ``Fitting``.
-    ``resolution`` is the length of mesh edges [cm]; ``maps``: compute ``Fitting.maps``. A pattern that cannot be placed
-    or meshed costs no other: it yields a ``Refusal``, as do those of ``read_patterns``. Raises ``BodyError`` for an
-    unusable body, ``ConfigError`` for a missing device.
+    ``resolution`` is the length of mesh edges [cm]; ``maps``: compute ``Fitting.maps``; ``pose``: the body moves to it
+    once the garment is at rest, and the fitting has no ease, which belongs to the A-pose. A pattern that cannot be
+    placed or meshed costs no other: it yields a ``Refusal``, as do those of ``read_patterns``. Raises ``BodyError`` for
+    an unusable body, ``ConfigError`` for a missing device.
     """
-    work = (_work(pattern, wearer, fabric, resolution, maps=maps) for pattern in patterns)
+    work = (_work(pattern, wearer, fabric, resolution, maps=maps, pose=pose) for pattern in patterns)
     with LocalDraper(device) as draper:
         yield from in_order(work, draper, ahead=draper.at_once, at_once=draper.at_once)
 
@@ -242,6 +246,7 @@ def _work(
     resolution: float,
     *,
     maps: bool,
+    pose: Pose | None,
 ) -> DrapeWork[Fitting | Refusal]:
     """The drape job of a pattern, and the function that makes a ``Fitting`` of the reply; without a job a refusal."""
     if isinstance(pattern, Refusal):
@@ -251,7 +256,7 @@ def _work(
         start = time.perf_counter()
         mesh = build_box_mesh(dressing.pattern, spacing=resolution)
         seconds = time.perf_counter() - start
-        job = DrapeJob(mesh, body, size, fabric)
+        job = DrapeJob(mesh, body, size, fabric, pose=pose)
         job.require_drapeable()
     except (PatternError, MeshError, DrapeError) as error:
         refusal = Refusal(pattern.name, str(error))
@@ -260,8 +265,9 @@ def _work(
     def finish(replies: Sequence[DrapeReply]) -> Fitting:
         [reply] = replies
         drape = reply.drape
-        ease = ease_of(dressing.pattern, mesh, body, size, drape.vertices)
-        return Fitting(dressing.pattern, body, dressing.assumed, mesh, drape, ease, seconds, reply.seconds, reply.maps)
+        ease = {} if pose else ease_of(dressing.pattern, mesh, body, size, drape.vertices)
+        posed = pose_body(body, pose) if pose else body
+        return Fitting(dressing.pattern, posed, dressing.assumed, mesh, drape, ease, seconds, reply.seconds, reply.maps)
 
     return DrapeWork([job], finish, maps=maps)
 
@@ -369,6 +375,7 @@ def write_report(
     device: str,
     fits: Iterable[Fit | None] = repeat(None),
     layers: Sequence[Layer] = (),
+    pose: Pose | None = None,
 ) -> None:
     """Write a JSON report: the settings, and the result of each file. Raises ``OutputError``.
 
@@ -380,6 +387,7 @@ def write_report(
         "machine": platform.processor() or platform.machine(),
         "device": device,
         "body": body,
+        **({"pose": pose_degrees(pose)} if pose else {}),
         "fabric": fabric,
         "resolution_cm": resolution,
         "garments": [

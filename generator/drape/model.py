@@ -128,11 +128,13 @@ def build_model(
         world.field, world.field_parts = body.distance.flatten(), body.part.flatten()
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)
-        world.field_cell = body.cell
+        world.field_cell, world.face_parts = body.cell, body.face_parts
         if body.worn_ids is not None:
             world.worn, world.worn_gap = body.worn_ids, gap
     cloth.axes = wp.array(np.concatenate([body.axes for body in bodies]), dtype=wp.vec3, device=device)
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
+    cloth.skin_lag = wp.zeros(len(jobs), dtype=float, device=device)
+    cloth.skin_velocity = wp.zeros(len(topology.mass), dtype=wp.vec3, device=device)
     face_world = np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset))
     parameters = wp.array(worlds, dtype=World, device="cpu").numpy()
     return ClothModel(
@@ -168,7 +170,8 @@ def empty_model(room: int, worlds: int, width: int, device: str, *, coupled: boo
     cloth.hold_normal, cloth.hold_offset = make(room, wp.vec3), make(room, float)
     cloth.own_part, cloth.keeper, cloth.ignored_parts = make(room, int), make(room, wp.uint8), make(room, int)
     cloth.axes = wp.zeros((2 * worlds + 2, len(AXES)), dtype=wp.vec3, device=device)
-    cloth.body_mesh = make(worlds + 1, wp.uint64)
+    cloth.body_mesh, cloth.skin_lag = make(worlds + 1, wp.uint64), make(worlds + 1, float)
+    cloth.skin_velocity = make(room, wp.vec3)
     nowhere = slice(0, 0)
     return ClothModel(
         device=device,
