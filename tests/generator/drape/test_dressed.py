@@ -29,7 +29,7 @@ def on_trunk(radius: float) -> DrapeJob:
 
 def test_the_field_of_a_dressed_body_is_lowered_to_the_cloth_and_covers_it() -> None:
     field, cloth = body_field(body_from(trunk()), "cpu"), ring(30.0)
-    over = dressed(field, [cloth], 0.0)
+    over = dressed(field, (cloth,), 0.0)
     low, at = np.array(over.origin), over.distance.numpy()
 
     def distance(x: float) -> float:
