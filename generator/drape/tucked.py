@@ -7,8 +7,6 @@ lengths across the body, evenly round it, so that the cloth lies smooth on the s
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.limbs import limbs_of
 from gcd_dataset.generator.body.section import rough_girths, section
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import hangs_from_shoulders
@@ -20,6 +18,7 @@ RISEN = 5.0  # cm by which a hem is worn higher than it is placed below the nape
 FULL = 1.0  # cm above the waistband where the cloth is still as narrow
 BLOUSED = 8.0  # cm above that over which it widens
 NARROWEST = 0.5  # of its width, the least that remains
+LOWER_BODY = (BodyPart.TRUNK, BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)
 
 
 def widths(job: DrapeJob, config: DrapeConfig) -> Float[np.ndarray, " v"]:
@@ -28,30 +27,30 @@ def widths(job: DrapeJob, config: DrapeConfig) -> Float[np.ndarray, " v"]:
     width = np.ones(len(mesh.vertices))
     of_body = np.array([role == PanelRole.BODY for role in mesh.panel_labels])[mesh.panel_id]
     own, top = mesh.faces[of_body], job.tucked_below + FULL
-    if not len(own):
-        return width
-    try:
-        skin = limbs_of(job.body)[BodyPart.TRUNK].skin
-    except BodyError:  # a body without a trunk, such as a ball
+    if not len(own) or np.isinf(top):
         return width
     worn = np.array(mesh.vertices, float)
-    if hangs_from_shoulders(job):
-        worn[:, 1] += size.height - size.head_l + RISEN - worn[own, 1].max()
+    nape = size.height - size.head_l
+    if hangs_from_shoulders(job) and np.isfinite(nape):
+        worn[:, 1] += nape + RISEN - worn[own, 1].max()
     heights = worn[:, 1]
     if heights[own].min() > top:
         return width
-    levels = np.arange(heights[own].min() + 0.5 * SLICE, top + SLICE, SLICE)
+    levels = np.arange(heights[own].min() + 0.5 * SLICE, min(top, heights[own].max()) + SLICE, SLICE)
     corners = np.concatenate([worn[own], mesh.uv[mesh.corners[of_body]]], axis=2).reshape(-1, 5)
     triangles = np.arange(len(corners)).reshape(-1, 3)
-    shares = np.ones(len(levels))
-    for k, level in enumerate(levels):
+    skin = job.body.faces[np.isin(job.body.parts, [part.value for part in LOWER_BODY])[job.body.faces].all(axis=1)]
+    shares: dict[float, float] = {}
+    for level in levels.tolist():
         cut = section(corners, triangles, 1, level)[:, :, 3:]
-        ring = skin[np.abs(skin[:, 1] - level) < 0.5 * SLICE][:, [0, 2]]
+        ring = section(job.body.vertices, skin, 1, level)[:, 0]
         if len(cut) and len(ring):
-            [girth] = rough_girths(ring, np.zeros(len(ring)))
+            [girth] = rough_girths(ring[:, [0, 2]], np.zeros(len(ring)))
             girth += 2.0 * np.pi * (config.body_gap + ROOM)
-            shares[k] = np.clip(girth / np.linalg.norm(cut[:, 1] - cut[:, 0], axis=1).sum(), NARROWEST, 1.0)
+            shares[level] = float(np.clip(girth / np.linalg.norm(cut[:, 1] - cut[:, 0], axis=1).sum(), NARROWEST, 1.0))
+    if not shares:
+        return width
     rows = np.unique(own)
     bloused = np.clip((heights[rows] - top) / BLOUSED, 0.0, 1.0)
-    width[rows] = np.interp(heights[rows], levels, shares) * (1.0 - bloused) + bloused
+    width[rows] = np.interp(heights[rows], list(shares), list(shares.values())) * (1.0 - bloused) + bloused
     return width
