@@ -15,7 +15,7 @@ from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.dressing.worn import WornCloth
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.records import BodyPart, Outcome, PanelRole
+from gcd_dataset.records import BodyPart, Layer, Outcome, PanelRole
 from tests.generator.drape.garments import neutral
 from tests.generator.drape.test_layers import ring, trunk
 from tests.helpers import SIZE, body_from, tube
@@ -97,7 +97,7 @@ def test_a_tucked_shirt_lies_inside_the_trousers(shirt_and_trousers: tuple[Drape
     waist = float(trousers.box_mesh.vertices[:, 1].max())
     loose, alone = drape_batch([shirt, trousers], device="cpu")
     inner, outer = drape_outfit([replace(shirt, tucked_below=waist), trousers], device="cpu")
-    layers = []
+    layers = list[Layer]()
     for one, other in ((loose, alone), (inner, outer)):
         pair = [WornCloth.of(shirt.box_mesh, one.vertices), WornCloth.of(trousers.box_mesh, other.vertices)]
         layers += layers_of(pair, shirt.body, device="cpu")
