@@ -298,8 +298,8 @@ def drape_together(
     between = time.perf_counter()
     tucked = [*(is_tucked(inner, outer, size) for inner, outer in itertools.pairwise(placed)), False]
     jobs = [
-        DrapeJob(mesh, body, size, fabric, tucked_below=size.waist_level if inside else -math.inf)
-        for mesh, inside in zip(meshes, tucked, strict=True)
+        DrapeJob(mesh, body, size, fabric, tucked_below=outer.vertices[:, 1].max() if inside else -math.inf)
+        for mesh, outer, inside in zip(meshes, [*meshes[1:], meshes[0]], tucked, strict=True)
     ]
     drapes = drape_outfit(jobs, device=device)
     seconds = (between - start) / len(jobs), (time.perf_counter() - between) / len(jobs)

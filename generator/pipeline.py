@@ -375,6 +375,7 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
             sample_fabric(design.seed, own_number(wearer.index, len(design.under)), config.fabric),
             wearer.coarse,
             wearer.start,
+            # The next garment is not drawn yet; every bottom that is drawn ends at the waist.
             wearer.size.waist_level if design.worn.tucked else -math.inf,
             wearer.under,
         )

@@ -123,7 +123,8 @@ class DrapeJob:
     """Start positions by ``dressing.sewing_start`` [cm], of ``coarse`` if given, otherwise of ``box_mesh``; None: the
     drape computes them."""
     tucked_below: float = -np.inf
-    """Height below which the cloth is tucked into another garment, and stays near the skin [cm]."""
+    """Top edge of the garment into which this one is tucked [cm]; below it the cloth is taken in, and stays near the
+    skin."""
     under: tuple[WornCloth, ...] = ()
     """The garments on the body under this one, from the skin outwards: this one drapes over them, and they stay as they
     are. Its crossings with them count as crossings with the body."""

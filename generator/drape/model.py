@@ -36,7 +36,7 @@ UNTANGLING = 24000.0  # cm/s², acceleration that shortens intersection contours
 PULLING = 12000.0  # cm/s², acceleration of crossing cloth toward its own body part
 SAMPLE = 8  # medians are taken over every eighth vertex or edge
 COARSE_GAP = 2.5  # layer distance of coarse cloth, as a multiple of that of fine cloth
-TUCK = 3.0  # layers of a flat fold: spare cloth that is tucked in lies so thick on the skin
+TUCK = 0.4  # cm, largest distance of tucked cloth from the skin, besides the gap of all cloth
 WORN_GAP = 0.125  # of the edge length: a chord as long as the radius of a fold cuts so deep into it, 1 - cos(30°)
 INERTIA_GAIN = 4.0  # inertia over mass at the median vertex: added inertia allows a longer time step
 
@@ -100,7 +100,7 @@ def build_model(
     """
     jobs = [replace(job, fabric=job.fabric.softened(config.stiffest)) for job in jobs]
     constraints = constraints or [BodyConstraints.of(job) for job in jobs]
-    topology = build_topology(jobs, [each.keepers for each in constraints], device)
+    topology = build_topology(jobs, config, [each.keepers for each in constraints], device)
     vertices, edges, faces = (
         [slice(int(a), int(b)) for a, b in pairwise(ends)]
         for ends in (topology.vertex_offset, topology.edge_offset, topology.face_offset)
@@ -255,7 +255,7 @@ def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float, sewing_time: f
     world.pulling = PULLING if config.pull_to_parts else 0.0
     world.thickness = gap_factor * max(job.fabric.thickness, config.layer_gap)
     world.body_gap = config.body_gap
-    world.tucked_below, world.tuck = job.tucked_below, config.body_gap + TUCK * world.thickness
+    world.tucked_below, world.tuck = job.tucked_below, config.body_gap + TUCK
     world.margin = max(config.contact_margin, 1.5 * world.thickness)
     world.travel = 0.4 * (world.margin - world.thickness)
     return world

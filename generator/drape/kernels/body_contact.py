@@ -13,7 +13,6 @@ wp.set_module_options({"enable_backward": False})
 SMOOTHED = 0.3  # friction factor of a held garment, which is being smoothed into place
 GRIP = 2.0  # friction factor of keepers: the edges that keep a garment up are faced with grip tape
 FAR = wp.constant(1.0e3)  # cm, distance from a body part that a vertex passes through
-FOLDED = 1.0  # of the way toward the skin: how far tucked cloth is also moved to the back, which folds it over
 BAND = wp.constant(4.0)  # cm outside the skin in which distances are exact, ``body_field.BAND``
 BEYOND = 3.9  # cm: a field has no gradient where it ends, ``body_field.BAND``
 LEFT_ARM, RIGHT_ARM = wp.constant(1), wp.constant(2)  # columns of ``ClothArrays.axes``
@@ -216,17 +215,10 @@ def find_skin(i: int, p: wp.vec3, world: World, cloth: ClothArrays) -> wp.vec4:
 
 @wp.func
 def tuck_in(i: int, p: wp.vec3, near: wp.vec4, world: World, cloth: ClothArrays) -> wp.vec4:
-    """A plane that keeps a tucked vertex within ``World.tuck`` of the skin: normal, and distance of ``p`` [cm].
-
-    The normal leans to the back: pressed straight to the skin, spare cloth would stand out in fins.
-    """
+    """A plane that keeps a tucked vertex within ``World.tuck`` of the skin: normal, and distance of ``p`` [cm]."""
     inward = -wp.vec3(near[0], near[1], near[2])
     if near[3] > BEYOND:
         inward = toward_part(i, cloth, p)
-    back = wp.cross(wp.vec3(0.0, 1.0, 0.0), inward)
-    if back[2] > 0.0:
-        back = -back
-    inward = wp.normalize(inward + FOLDED * back)
     return wp.vec4(inward[0], inward[1], inward[2], world.body_gap + world.tuck - near[3])
 
 
