@@ -21,7 +21,7 @@ from gcd_dataset.meshedges import mesh_edges
 @lru_cache(CACHED)
 def dressed(field: BodyField, under: tuple[WornCloth, ...], gap: float) -> BodyField:
     """The field of a body that wears garments, each thicker by ``gap`` [cm]; cached, for a second drape."""
-    device = field.distance.device
+    device = str(field.distance.device)
     grown = _grown(field, np.concatenate([cloth.vertices for cloth in under]))
     worn = []
     for cloth in under:
