@@ -212,7 +212,7 @@ class Measurements:
         """These measurements. Raises ``BodyError`` where ``PARTS`` are negative, or not less than their whole."""
         for whole, names in PARTS:
             length, parts = getattr(self, whole), [getattr(self, name) for name in names]
-            if min(parts) < 0 or not 0 < sum(parts) < length:
+            if min(parts) < 0 or sum(parts) <= 0 or sum(parts) >= length:
                 figures = f"{' + '.join(names)} is {' + '.join(f'{part:.1f}' for part in parts)} cm"
                 figures += f", and {whole} is {length:.1f} cm"
                 raise BodyError(f"{figures}: parts are less than the whole, so correct these measures")

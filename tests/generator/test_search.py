@@ -33,8 +33,9 @@ def faces() -> np.ndarray:
 
 
 @pytest.mark.parametrize(("partial", "known"), [(False, 2), (True, 1)])
-def test_parameters_are_found_on_a_linear_map(partial: bool, known: int) -> None:
-    """Drop and width of a sheet; a scan of a part does not show where the sheet ends."""
+def test_parameters_are_found_on_a_linear_map(partial: bool, known: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drop and width of a sheet, vaguely proposed; a scan of a part does not show where the sheet ends."""
+    monkeypatch.setattr("gcd_dataset.generator.search.PROPOSED", 0.2)
     base = sheet(0.0, 0.0)
     derivatives = np.stack([sheet(20.0, 0.0) - base, sheet(0.0, 1.0) - base]) * [[[1.0]], [[30.0]]]
     worn = SimpleNamespace(job=SimpleNamespace(box_mesh=SimpleNamespace(faces=faces())))
