@@ -60,7 +60,7 @@ def partition(reader: ShardReader, shares: Mapping[str, float] = SHARES) -> dict
 
 
 def families(traits: Traits) -> Int[np.ndarray, " s"]:
-    """Family number of each sample: the connected components of those that share a design, a body or a pattern.
+    """Family number of each sample: a connected component of the samples that share a design, a body or a pattern.
 
     The neutral body, and bodies without shape weights, connect no garments. Two designs may give the same pattern on
     one body: they differ in parameters that are not used, such as the sleeves of a strapless bodice.

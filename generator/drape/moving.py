@@ -37,7 +37,7 @@ class Motion:
     body: Body
     """The body in its last position."""
     keys: tuple[Float32[np.ndarray, "w 3"], ...]
-    """Positions of the skin's vertices at equal intervals [cm]; the first are those of the body that moves."""
+    """Positions of the skin's vertices at equal intervals of time, from the start to the end of the motion [cm]."""
     home: Float32[np.ndarray, "w 3"]
     """Positions in the A-pose, in which measures are taken [cm]."""
     trunk: Bool[np.ndarray, " w"]

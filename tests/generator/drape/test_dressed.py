@@ -1,5 +1,6 @@
 """Garments draped over garments."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +40,19 @@ def test_the_field_of_a_dressed_body_is_lowered_to_the_cloth_and_covers_it() -> 
     assert distance(32.0) == pytest.approx(2.0, abs=0.5)
     assert distance(27.0) == pytest.approx(-3.0, abs=0.5)  # a tube of cloth is solid
     assert (low < np.array(field.origin)).any()
+
+
+def test_worn_cloth_is_built_on_a_device_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a GPU the name is the key of a stream."""
+    asked = list[str]()
+
+    def builds(device: str) -> nullcontext[None]:
+        asked.append(device)
+        return nullcontext()
+
+    monkeypatch.setattr("gcd_dataset.generator.drape.dressed.native_builds", builds)
+    dressed(body_field(body_from(trunk()), "cpu"), (ring(31.0),), 0.0)
+    assert {*asked} == {"cpu"}
 
 
 def test_a_ring_over_a_ring_rests_outside_it_and_the_same_in_a_batch() -> None:
