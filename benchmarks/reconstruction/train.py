@@ -99,6 +99,8 @@ def train(
             is_last, checked = is_over or state.progress >= 1, dict[str, float]()
             if check is not None and state.progress * config.checks >= next_check:
                 next_check = math.floor(state.progress * config.checks) + 1
+                if path is not None:
+                    state.save(path, examples, rows)  # the training outlives a check that fails
                 checked = state.checked(check)
             if checked or is_last or state.step % config.log_every == 0:
                 rows.append(state.row(checked))

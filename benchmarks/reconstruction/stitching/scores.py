@@ -85,16 +85,27 @@ def _f1(
 
 
 def congruences(graph: EdgeGraph) -> Turns:
-    """The turns of every pair of congruent panels, and of each panel onto itself."""
+    """The turns of every pair of congruent panels, and of each panel onto itself.
+
+    Two panels are congruent if both lie on the first of their kind: lying on each other within a tolerance is no
+    equivalence, which permutations of congruent panels need.
+    """
     panels = [np.flatnonzero(graph.panels == panel) for panel in range(graph.panels.max() + 1)]
-    turns: Turns = {}
-    for one, rows in enumerate(panels):
-        for other, others in enumerate(panels):
+    kinds = list[tuple[int, list[int]]]()  # of each panel: the first of its kind, and the turns onto it
+    for panel, rows in enumerate(panels):
+        for first in (*dict(kinds), panel):
+            others = panels[first]
             if len(rows) == len(others):
                 shifts = [s for s in range(len(rows)) if _lie_on(graph, rows, np.roll(others, -s))]
                 if shifts:
-                    turns[one, other] = shifts
-    return turns
+                    kinds.append((first, shifts))
+                    break
+    return {
+        (one, other): sorted({(s - t) % len(panels[one]) for s in turns for t in back})
+        for one, (kind, turns) in enumerate(kinds)
+        for other, (its, back) in enumerate(kinds)
+        if kind == its
+    }
 
 
 def _lie_on(graph: EdgeGraph, rows: Int[np.ndarray, " k"], others: Int[np.ndarray, " k"]) -> bool:

@@ -226,7 +226,7 @@ def take_in(
     if share < 1.0:
         length = spring[e][1]
         down = wp.min(wp.abs(start[high][1] - start[low][1]), length)
-        across = share * wp.sqrt(length * length - down * down)
+        across = share * wp.sqrt((length - down) * (length + down))  # a difference of squares may round below 0
         spring[e] = wp.vec3(spring[e][0], wp.length(wp.vec2(across, down)), spring[e][2])
 
 

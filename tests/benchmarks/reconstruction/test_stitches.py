@@ -185,6 +185,13 @@ def test_congruent_panels_are_exchangeable_and_mirror_images_are_not() -> None:
     assert congruences(graph_of(t_shirt()))[2, 3] == [0]
 
 
+def test_panels_that_are_almost_equal_form_kinds() -> None:
+    """b lies on a and on c within the tolerance, c not on a: every exchange within a kind can be completed."""
+    graph = graph_of(Pattern("p", tuple(rectangle(name, width, 20) for name, width in zip("abc", (9, 9.04, 9.08))), ()))
+    assert set(congruences(graph)) == {(0, 0), (0, 1), (1, 0), (1, 1), (2, 2)}
+    assert score_stitches(graph, [(10, 9), (5, 4), (2, 7)]).f1 == 0.0  # the search takes b for c, and c for neither
+
+
 def test_exchanged_belts_are_right_up_to_symmetry() -> None:
     graph, rows = graph_of(tube()), rows_of(tube())
     exchanged = [(left, (right + 4 - 8) % 8 + 8 if left < 8 <= right else right) for left, right in rows]

@@ -93,6 +93,15 @@ def test_curves_hold_losses_and_checks_of_all_calls(tmp_path: Path) -> None:
     assert all(float(row["square"]) == float(row["loss"]) for row in rows)
 
 
+def test_a_training_outlives_a_check_that_fails(tmp_path: Path) -> None:
+    def check(step: int, learner: object) -> Mapping[str, float]:
+        raise RuntimeError(f"no score at step {step}")
+
+    with pytest.raises(RuntimeError, match="no score at step 40"):
+        trained(tmp_path, config=replace(CONFIG, checks=1), check=check)
+    assert same(trained(tmp_path, config=replace(CONFIG, checks=1), check=check), trained())
+
+
 def test_the_best_weights_answer(tmp_path: Path) -> None:
     """Of the second check; a call that goes on remembers them."""
     kept: list[Tensor] = []
