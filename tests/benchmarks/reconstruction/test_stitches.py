@@ -187,7 +187,9 @@ def test_congruent_panels_are_exchangeable_and_mirror_images_are_not() -> None:
 
 def test_panels_that_are_almost_equal_form_kinds() -> None:
     """b lies on a and on c within the tolerance, c not on a: every exchange within a kind can be completed."""
-    graph = graph_of(Pattern("p", tuple(rectangle(name, width, 20) for name, width in zip("abc", (9, 9.04, 9.08))), ()))
+    graph = graph_of(
+        Pattern("p", tuple(rectangle(name, width, 20) for name, width in zip("abc", (9, 9.04, 9.08), strict=True)), ())
+    )
     assert set(congruences(graph)) == {(0, 0), (0, 1), (1, 0), (1, 1), (2, 2)}
     assert score_stitches(graph, [(10, 9), (5, 4), (2, 7)]).f1 == 0.0  # the search takes b for c, and c for neither
 
