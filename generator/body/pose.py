@@ -135,11 +135,14 @@ def side_and_kind(bone: str) -> tuple[str, str]:
     return side, bone.removeprefix(side)
 
 
-def _parent(bone: str) -> str:
-    """The bone on which a bone turns; empty for the root."""
+def _parent(bone: str) -> int:
+    """The number of the bone that carries this one; -1 for the root."""
     side, kind = side_and_kind(bone)
     parent = TREE[kind][0]
-    return parent if parent in ("", *TRUNK) else side + parent
+    return -1 if not parent else BONES.index(parent if parent in TRUNK else side + parent)
+
+
+PARENTS = tuple(_parent(bone) for bone in BONES)
 
 
 def _across(bone: str) -> str:
@@ -156,19 +159,18 @@ def pose_body(body: Body, pose: Pose) -> Body:
     require_possible(pose, body)
     if not pose.turns:
         return body
-    joints, turns, moved = rig().carriers @ body.vertices, {}, {}
-    for number, bone in enumerate(BONES):  # parents come first
-        parent = _parent(bone)
-        own = Rotation.from_rotvec(rig().axes[number] @ pose.turns.get(bone, (0.0, 0.0, 0.0)))
-        turns[bone], moved[bone] = own, joints[number]
-        if parent:
-            turns[bone] = turns[parent] * own
-            moved[bone] = moved[parent] + turns[parent].apply(joints[number] - joints[BONES.index(parent)])
-    rotations = _same_half_space(np.stack([turn.as_quat() for turn in turns.values()]))
-    shifts = np.stack([moved[bone] - turn.apply(at) for (bone, turn), at in zip(turns.items(), joints, strict=True)])
-    vertices, quaternions = _blended(body.vertices, rotations, shifts)
+    joints = rig().carriers @ body.vertices
+    given = np.array([pose.turns.get(bone, (0.0, 0.0, 0.0)) for bone in BONES], float)
+    turns = Rotation.from_rotvec((rig().axes @ given[:, :, None])[:, :, 0]).as_matrix()
+    moved = joints.copy()
+    for number, parent in enumerate(PARENTS):  # parents come first
+        if parent >= 0:
+            turns[number] = turns[parent] @ turns[number]
+            moved[number] = moved[parent] + turns[parent] @ (joints[number] - joints[parent])
+    shifts = moved - (turns @ joints[:, :, None])[:, :, 0]
+    vertices, rotations = _blended(body.vertices, _same_half_space(Rotation.from_matrix(turns).as_quat()), shifts)
     skin = body_skin()
-    normals = _turned(skin_normals(body.vertices, skin.faces).T, quaternions[skin.faces[:, 0]]).T
+    normals = _turned(skin_normals(body.vertices, skin.faces), rotations[:, skin.faces[:, 0]])
     reference = replace(skin, normals=normals / np.linalg.norm(normals, axis=0))
     return replace(body, vertices=stand(reference.smoothed(vertices, ROUNDS, resolve_creases=True).vertices))
 
@@ -176,33 +178,40 @@ def pose_body(body: Body, pose: Pose) -> Body:
 def _same_half_space(rotations: Float[np.ndarray, "b 4"]) -> Float[np.ndarray, "b 4"]:
     """The quaternions, each with the sign that brings it nearer to its parent's: blending takes the shorter way."""
     signed = rotations.copy()
-    for number, bone in enumerate(BONES):
-        if (parent := _parent(bone)) and signed[number] @ signed[BONES.index(parent)] < 0.0:
+    for number, parent in enumerate(PARENTS):
+        if parent >= 0 and signed[number] @ signed[parent] < 0.0:
             signed[number] *= -1.0
     return signed
 
 
 def _blended(
     vertices: Float[np.ndarray, "v 3"], rotations: Float[np.ndarray, "b 4"], shifts: Float[np.ndarray, "b 3"]
-) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 4"]]:
-    """The vertices moved by blended dual quaternions (x, y, z, w), and the rotation of each."""
-    real, dual = rotations, 0.5 * _product(np.pad(shifts, ((0, 0), (0, 1))), rotations)
-    blend = rig().skin @ np.concatenate([real, dual], axis=1)
-    blend /= np.linalg.norm(blend[:, :4], axis=1, keepdims=True)
-    real, dual = blend[:, :4], blend[:, 4:]
-    shift = 2.0 * _product(dual, real * [-1.0, -1.0, -1.0, 1.0])[:, :3]
-    return _turned(vertices, real) + shift, real
+) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "4 v"]]:
+    """The vertices moved by blended dual quaternions (x, y, z, w), and the rotation of each.
+
+    By coordinates, as ``skin_normals``: ``np.cross`` takes several times longer.
+    """
+    dual = 0.5 * _product(np.pad(shifts, ((0, 0), (0, 1))).T, rotations.T)
+    blend = np.ascontiguousarray((rig().skin @ np.concatenate([rotations, dual.T], axis=1)).T)
+    real, dual = (blend / np.linalg.norm(blend[:4], axis=0)).reshape(2, 4, -1)
+    shift = 2.0 * _product(dual, np.concatenate([-real[:3], real[3:]]))[:3]
+    return (_turned(np.ascontiguousarray(vertices.T), real) + shift).T, real
 
 
-def _product(a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:
-    (u, s), (w, t) = (a[:, :3], a[:, 3:]), (b[:, :3], b[:, 3:])
-    vector = s * w + t * u + np.cross(u, w)
-    return np.concatenate([vector, s * t - (u * w).sum(axis=1, keepdims=True)], axis=1)
+def _product(a: Float[np.ndarray, "4 n"], b: Float[np.ndarray, "4 n"]) -> Float[np.ndarray, "4 n"]:
+    """Products of quaternions (x, y, z, w)."""
+    (u, s), (w, t) = (a[:3], a[3]), (b[:3], b[3])
+    return np.concatenate([s * w + t * u + _cross(u, w), (s * t - (u * w).sum(axis=0))[None]])
 
 
-def _turned(vectors: Float[np.ndarray, "n 3"], rotations: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3"]:
-    axis, w = rotations[:, :3], rotations[:, 3:]
-    return vectors + 2.0 * np.cross(axis, np.cross(axis, vectors) + w * vectors)
+def _turned(vectors: Float[np.ndarray, "3 n"], rotations: Float[np.ndarray, "4 n"]) -> Float[np.ndarray, "3 n"]:
+    axis, w = rotations[:3], rotations[3]
+    return vectors + 2.0 * _cross(axis, _cross(axis, vectors) + w * vectors)
+
+
+def _cross(a: Float[np.ndarray, "3 n"], b: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "3 n"]:
+    (x, y, z), (p, q, r) = a, b
+    return np.stack([y * r - z * q, z * p - x * r, x * q - y * p])
 
 
 def require_possible(pose: Pose, body: Body | None = None) -> None:
