@@ -57,7 +57,7 @@ _in_use: WeakValueDictionary[tuple[str, bytes], "BodyField"] = WeakValueDictiona
 _recent: OrderedDict[tuple[str, bytes], "BodyField"] = OrderedDict()
 _hosts: "OrderedDict[tuple[bytes, bytes], Future[HostField]]" = OrderedDict()
 _hosts_lock = threading.Lock()
-_skins: OrderedDict[bytes, "_SkinTopology"] = OrderedDict()
+_skins: OrderedDict[bytes, "SkinTopology"] = OrderedDict()
 _skins_lock = threading.Lock()
 
 
@@ -197,7 +197,7 @@ def host_field(body: Body) -> HostField:
 
 
 @dataclass(frozen=True)
-class _SkinTopology:
+class SkinTopology:
     """A skin's topology and the data derived from it, shared by all bodies of that topology."""
 
     skin: VisibleSkin
@@ -215,7 +215,7 @@ class _SkinTopology:
     """For each of ``AXES`` a vertex of every eighth face of its parts; of the whole body if it lacks the parts."""
 
     @classmethod
-    def of(cls, skin: VisibleSkin) -> "_SkinTopology":
+    def of(cls, skin: VisibleSkin) -> "SkinTopology":
         corner, parts = skin.faces[::FACE_SAMPLE, 0], skin.parts[::FACE_SAMPLE]
         sampled = (corner[np.isin(parts, [part.value for part in own])] for own in AXES.values())
         left, right, hands, feet, head = (
@@ -241,26 +241,19 @@ class _SkinTopology:
         )
 
 
-def _skin(digest: bytes, body: Body) -> _SkinTopology:
-    """The skin of a topology, from a cache of the last few: most bodies share one topology."""
+def closed_skin(body: Body) -> SkinTopology:
+    """The skin without internal faces, its openings closed, from a cache of the last few topologies."""
+    return _skin(_digests(body)[0], body)
+
+
+def _skin(digest: bytes, body: Body) -> SkinTopology:
     with _skins_lock:
         if digest not in _skins:
-            _skins[digest] = _SkinTopology.of(VisibleSkin.of(body.faces, body.parts))
+            _skins[digest] = SkinTopology.of(VisibleSkin.of(body.faces, body.parts))
             if len(_skins) > CACHED:
                 _skins.popitem(last=False)
         _skins.move_to_end(digest)
         return _skins[digest]
-
-
-def closed_skin(body: Body) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, " 3g"]]:
-    """Vertices [cm] and flattened faces of the skin without internal faces, its openings closed."""
-    known = _skin(_digests(body)[0], body)
-    return known.skin.points(body.vertices), known.triangles
-
-
-def skin_parts(body: Body) -> UInt8[np.ndarray, " g"]:
-    """``BodyPart`` of each face of ``closed_skin``."""
-    return _skin(_digests(body)[0], body).skin.parts
 
 
 def _edges_without_lids(skin: VisibleSkin) -> Int[np.ndarray, "e 2"]:
@@ -315,7 +308,7 @@ def _make_fields(given: Sequence[tuple[Body, HostField]], device: str) -> list[B
     return made
 
 
-def _extremities(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> tuple[Float[np.ndarray, "h 3"], ...]:
+def _extremities(points: Float[np.ndarray, "w 3"], known: SkinTopology) -> tuple[Float[np.ndarray, "h 3"], ...]:
     """The vertices of ``HostField.hulls`` [cm]; a body without hands, feet or head gets fewer than five.
 
     Some segmentations, such as GarmentCode's, count hands as arms, feet as legs and the head as trunk.
@@ -368,7 +361,7 @@ def _hulls(host: HostField, voxels: Voxels, device: str) -> Iterator[Hull]:
         yield hull
 
 
-def _axes(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> Float[np.ndarray, "2 axes 3"]:
+def _axes(points: Float[np.ndarray, "w 3"], known: SkinTopology) -> Float[np.ndarray, "2 axes 3"]:
     """Each axis from the centroid of the highest tenth of the sampled vertices to that of the lowest tenth [cm]."""
     axes = np.zeros((2, len(AXES), 3))
     for number, corners in enumerate(known.axis_vertices):
@@ -379,7 +372,7 @@ def _axes(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> Float[np.nd
     return axes
 
 
-def _with_forearms(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> UInt8[np.ndarray, " g"]:
+def _with_forearms(points: Float[np.ndarray, "w 3"], known: SkinTopology) -> UInt8[np.ndarray, " g"]:
     """The part of each face, with ``FOREARM`` from the elbows to the finger tips."""
     parts, faces = known.skin.parts.copy(), known.skin.faces
     hand_x = points[faces[known.hands, 0], 0]

@@ -7,7 +7,7 @@ import warp as wp
 from jaxtyping import Float, Int
 
 from gcd_dataset.generator.device import launch_lock, load_kernels, native_builds, resolve_device, to_host
-from gcd_dataset.generator.drape.body_field import closed_skin, skin_parts
+from gcd_dataset.generator.drape.body_field import closed_skin
 from gcd_dataset.generator.drape.kernels import layers as kernels
 from gcd_dataset.generator.dressing.worn import WornCloth
 from gcd_dataset.meshedges import mesh_edges
@@ -63,8 +63,8 @@ def layers_of(garments: Sequence[WornCloth], body: Body, *, device: str = "auto"
 
 def _limbs(body: Body, device: str) -> list[wp.Mesh]:
     """The skin of each of ``LIMBS``; a triangle far away for a limb that the body lacks."""
-    points, triangles = closed_skin(body)
-    faces, parts = triangles.reshape(-1, 3), skin_parts(body)
+    skin = closed_skin(body).skin
+    points, faces, parts = skin.points(body.vertices), skin.faces, skin.parts
     aside = points[faces, 0].sum(axis=1)
     limbs = []
     for side, own in LIMBS:

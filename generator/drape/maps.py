@@ -84,8 +84,9 @@ def _skins(bodies: Sequence[Body], device: str) -> list[wp.Mesh]:
     with launch_lock:
         missing = {id(body): body for body in bodies if device not in _on_devices(body)}.values()
         closed = [closed_skin(body) for body in missing]
-        points = [wp.array(at.astype(np.float32), dtype=wp.vec3, device=device) for at, _ in closed]
-        triangles = [wp.array(faces, dtype=int, device=device) for _, faces in closed]
+        at = [one.skin.points(body.vertices).astype(np.float32) for one, body in zip(closed, missing, strict=True)]
+        points = [wp.array(vertices, dtype=wp.vec3, device=device) for vertices in at]
+        triangles = [wp.array(one.triangles, dtype=int, device=device) for one in closed]
         with native_builds(device):
             for body, *skin in zip(missing, points, triangles, strict=True):
                 _on_devices(body)[device] = wp.Mesh(*skin)

@@ -46,10 +46,10 @@ class Motion:
     @classmethod
     def of(cls, bodies: Sequence[Body], home: Body | None = None) -> Self:
         """The motion through some bodies of one mesh; ``home``: the body in the A-pose, if it is not the first."""
-        keys = tuple(closed_skin(body)[0].astype(np.float32) for body in bodies)
+        skin = closed_skin(bodies[0]).skin
+        *keys, at_home = (skin.points(body.vertices).astype(np.float32) for body in (*bodies, home or bodies[0]))
         trunk = bodies[0].parts == BodyPart.TRUNK.value
-        at_home = keys[0] if home is None else closed_skin(home)[0].astype(np.float32)
-        return cls(bodies[-1], keys, at_home, np.pad(trunk, (0, len(keys[0]) - len(trunk))))
+        return cls(bodies[-1], tuple(keys), at_home, np.pad(trunk, (0, len(keys[0]) - len(trunk))))
 
     @classmethod
     def to_pose(cls, body: Body, pose: Pose) -> Self:
@@ -86,6 +86,8 @@ class MovingSkin:
     world: int
     mesh: wp.Mesh
     motion: Motion
+    keys: wp.array
+    """(k, w) keys of ``motion``."""
     frames: int
     """Frames that the motion takes."""
     seconds: float
@@ -98,20 +100,17 @@ class MovingSkin:
         """Move the mesh to the start of the next frame, with the velocity to its end; nothing once it stands still."""
         if self.frame > self.frames:
             return
-        here, there = self._at(self.frame), self._at(self.frame + 1)
-        self.mesh.points.assign(here)
-        self.mesh.velocities.assign((there - here) / np.float32(self.seconds))
+        inputs = [self.world, self.keys, self._along(self.frame), self._along(self.frame + 1), self.seconds]
+        outputs = [self.mesh.points, self.mesh.velocities, cloth, state.search]
+        wp.launch(begin_frame, self.keys.shape[1], inputs, outputs, device=self.mesh.device)
         self.mesh.refit()
-        wp.launch(begin_frame, 1, [self.world], [cloth, state.search], device=self.mesh.device)
         self.frame += 1
 
-    def _at(self, frame: int) -> Float32[np.ndarray, "w 3"]:
+    def _along(self, frame: int) -> float:
+        """How many keys lie behind the skin at a frame."""
         share = min(frame / self.frames, 1.0)
         share = share * share * (3.0 - 2.0 * share) if self.gently else share
-        along = share * (len(self.motion.keys) - 1)
-        number = min(int(along), len(self.motion.keys) - 2)
-        start, end = self.motion.keys[number : number + 2]
-        return np.asarray(start + np.float32(along - number) * (end - start), np.float32)
+        return share * (self.keys.shape[0] - 1)
 
 
 def own_skin(body: BodyField) -> BodyField:

@@ -148,7 +148,7 @@ class Slots:
             body = model.bodies[w] = own_skin(shared)
             row = self._rows[w : w + 1]
             frame, first = float(row["frame"][0]), int(row["first"][0])
-            skin = MovingSkin(w, body.mesh, motion, math.ceil(motion.seconds / frame), frame)
+            skin = MovingSkin(w, body.mesh, motion, self._keys(motion), math.ceil(motion.seconds / frame), frame)
             row["skin"] = self._meshes[w] = body.mesh.id
             row["lowest"] -= max(motion.drop, 0.0)
             row["max_frames"] = skin.frames + solver.config.max_frames if ends else ENDLESS
@@ -165,7 +165,12 @@ class Slots:
         """Let a body that moves without an end move further, in the nearest number of frames to a time [s]."""
         skin = self.solver.moving[w]
         frames = max(round(seconds / skin.seconds), 1)
-        self.solver.moving[w] = replace(skin, motion=motion, frames=frames, gently=False, frame=0)
+        self.solver.moving[w] = replace(
+            skin, motion=motion, keys=self._keys(motion), frames=frames, gently=False, frame=0
+        )
+
+    def _keys(self, motion: Motion) -> wp.array:
+        return wp.array(np.stack(motion.keys), dtype=wp.vec3, device=self.solver.model.device)
 
     def free(self, worlds: Sequence[int]) -> None:
         """Give up the places of garments."""

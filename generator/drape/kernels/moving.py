@@ -49,10 +49,32 @@ def begin_motion(
 @wp.kernel
 def begin_frame(
     w: int,
+    keys: wp.array2d(dtype=wp.vec3),
+    here: float,
+    there: float,
+    seconds: float,
+    # out
+    points: wp.array(dtype=wp.vec3),
+    velocities: wp.array(dtype=wp.vec3),
     # state out
     cloth: ClothArrays,
     search: SearchState,
 ):
-    """The skin of a world is where its mesh is; contacts are searched."""
-    cloth.skin_lag[w] = 0.0
-    search.moved_far[w] = 1
+    """Put the skin of a world at the start of a frame, with the velocity to its end; contacts are searched.
+
+    ``keys``: positions at equal intervals of the motion; ``here`` and ``there``: how many of them lie behind the skin.
+    """
+    i = wp.tid()
+    point = key_at(keys, here, i)
+    points[i] = point
+    velocities[i] = (key_at(keys, there, i) - point) / seconds
+    if i == 0:
+        cloth.skin_lag[w] = 0.0
+        search.moved_far[w] = 1
+
+
+@wp.func
+def key_at(keys: wp.array2d(dtype=wp.vec3), along: float, i: int) -> wp.vec3:
+    """The position of a vertex between two keys."""
+    k = wp.min(int(along), keys.shape[0] - 2)
+    return keys[k, i] + (along - float(k)) * (keys[k + 1, i] - keys[k, i])
