@@ -298,8 +298,15 @@ def drape_together(
     between = time.perf_counter()
     tucked = [*(is_tucked(inner, outer, size) for inner, outer in itertools.pairwise(placed)), False]
     jobs = [
-        DrapeJob(mesh, body, size, fabric, tucked_below=outer.vertices[:, 1].max() if inside else -math.inf)
-        for mesh, outer, inside in zip(meshes, [*meshes[1:], meshes[0]], tucked, strict=True)
+        DrapeJob(
+            mesh,
+            body,
+            size,
+            fabric,
+            tucked_below=meshes[number + 1].vertices[:, 1].max() if tucked[number] else -math.inf,
+            under_sleeves=any(PanelRole.ARM in over.panel_labels for over in meshes[number + 1 :]),
+        )
+        for number, mesh in enumerate(meshes)
     ]
     drapes = drape_outfit(jobs, device=device)
     seconds = (between - start) / len(jobs), (time.perf_counter() - between) / len(jobs)

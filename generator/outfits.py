@@ -32,6 +32,7 @@ from gcd_dataset.errors import ConfigError, did_you_mean, shown
 from gcd_dataset.generator.dressing.frame import placed_outline
 from gcd_dataset.generator.garments.design import MetaDesign, choice_of
 from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.garments.parameter import Flag
 from gcd_dataset.generator.garments.sampling import HIPS_UNDER_SKIRT
 from gcd_dataset.jsonfile import read_toml
 from gcd_dataset.records import Body, Closure, Measurements, Outcome, Outfit, Pattern, WornGarment
@@ -68,6 +69,13 @@ class WornDesign:
         """Whether trousers may be drawn, so that the whole outfit is draped on a body with its legs apart."""
         bottoms = choice_of(self.design.space.of(MetaDesign), "bottom").weighted_options
         return any(bottom is not None and bottom.garment.legs for bottom in bottoms)
+
+    @cached_property
+    def may_have_sleeves(self) -> bool:
+        """Whether a top with sleeves may be drawn."""
+        uppers = choice_of(self.design.space.of(MetaDesign), "upper").weighted_options
+        sleeveless = self.design.space.at("sleeve.sleeveless")
+        return set(uppers) != {None} and isinstance(sleeveless, Flag) and False in sleeveless.weighted_options
 
     @property
     def is_skirt(self) -> bool:

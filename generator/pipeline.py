@@ -378,6 +378,7 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
             # The next garment is not drawn yet; every bottom that is drawn ends at the waist.
             wearer.size.waist_level if design.worn.tucked else -math.inf,
             wearer.under,
+            under_sleeves=any(over.may_have_sleeves for over in design.outfit[len(design.under) + 1 :]),
         )
         for wearer in design.dressed
         if wearer.box_mesh is not None and wearer.is_draped

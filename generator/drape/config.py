@@ -130,6 +130,8 @@ class DrapeJob:
     are. Its crossings with them count as crossings with the body."""
     pose: Pose | None = None
     """The garment drapes on ``body``, which then moves to this pose, and comes to rest there; None: it stays."""
+    under_sleeves: bool = False
+    """Whether a garment over this one has sleeves, which press the sleeves of this one to the arms."""
 
     def __post_init__(self) -> None:
         if self.pose is not None and self.under:

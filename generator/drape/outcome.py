@@ -150,13 +150,17 @@ KEEPS_CROSSINGS = (Outcome.SETTLED, Outcome.THROUGH_BODY, Outcome.THROUGH_ITSELF
 """Outcomes of garments that came to rest on the body, with crossings or without."""
 
 
+FINISHES = 5  # most times that cloth moves off the skin: each time by a share of its distance from other cloth
+
+
 def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> Resumable[list[Drape]]:
     """The drapes of some worlds of a batch; ``jobs[k]`` was draped in ``worlds[k]``."""
     if not worlds:
         return []
     state, model, fetch = solver.state, solver.model, solver.mirror.fetch
     with launch_lock:
-        chosen = solver.chosen(np.isin(np.arange(model.n_worlds), worlds))
+        finished = np.isin(np.arange(model.n_worlds), worlds)
+        chosen = solver.chosen(finished)
         counts = solver.counted(SELF_CROSSINGS, chosen)
     # Read ``overfull`` now: the searches below may overflow their lists too. Copies, since they fetch as well.
     fetched = yield from fetch(counts, state.contacts.overfull, state.status, state.frames)
@@ -164,12 +168,18 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     crossing = (crossings > 0) & (status == DONE)
     if solver.config.untangling_steps and crossing.any():
         yield from untangle(solver, crossing)
-    with launch_lock:
-        if solver.config.exact_finish:
-            solver.leave_skin(chosen)
-        solver.round_positions(chosen)
-        results = [*(solver.counted(kernel, chosen) for kernel in CROSSING_COUNTS), solver.stretches(), state.x]
-    self_crossings, body_crossings, body_through, stretches, x = yield from fetch(*results)
+    for _ in range(FINISHES if solver.config.exact_finish else 1):
+        with launch_lock:
+            if solver.config.exact_finish:
+                solver.leave_skin(chosen)
+            solver.round_positions(chosen)
+            every = solver.chosen(finished)
+            results = [*(solver.counted(kernel, every) for kernel in CROSSING_COUNTS), solver.stretches(), state.x]
+        self_crossings, body_crossings, body_through, stretches, x = yield from fetch(*results)
+        pierced = (body_crossings + body_through > 0) & (body_crossings <= solver.config.max_body_crossings)
+        if not (pierced & (status == DONE)).any():
+            break
+        chosen = solver.chosen(pierced & (status == DONE))
     drapes = []
     for job, w in zip(jobs, worlds, strict=True):
         vertices = np.array(x[model.vertices[w]], np.float32)

@@ -58,6 +58,7 @@ class World:
     face_parts: wp.array(dtype=wp.uint8)  # body part of each face of the skin
     tucked_below: float  # cm, height below which the cloth is tucked into another garment
     tuck: float  # cm, largest distance of tucked cloth from the skin
+    sleeve: float  # cm, largest distance of sleeves from the skin
     worn: wp.array(dtype=wp.uint64)  # meshes of the garments under this one
     worn_gap: float  # cm, distance from these garments beyond ``body_gap``
 
