@@ -23,7 +23,7 @@ from gcd_dataset.generator.drape.batches import Lane, Pass, PendingJobs, drape_u
 from gcd_dataset.generator.drape.holds import fell, find_keepers, holds, off_body
 from gcd_dataset.generator.drape.kernels.world import DONE, RUNNING
 from gcd_dataset.generator.drape.model import ClothModel, build_model
-from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off, untangle
+from gcd_dataset.generator.drape.outcome import FINISHES, best_of, collect, crosses, slid_off, untangle
 from gcd_dataset.generator.drape.slots import CoarseEnd, Slots, room_for, rooms_of
 from gcd_dataset.generator.drape.solver import Solver, nothing
 from gcd_dataset.generator.garments import design_from_dict
@@ -158,6 +158,26 @@ def test_a_garment_with_crossings_at_rest_is_draped_again() -> None:
     assert drape_batch(jobs, twice, device="cpu") == [best, clean]
     together = dict(drape_unordered(jobs[::-1], twice, device="cpu", at_once=2))
     assert [together[1], together[0]] == [best, clean]
+
+
+def test_pierced_cloth_leaves_the_skin_in_several_passes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pass moves cloth by a share of its distance from other cloth; the spike is too thin for any number of them."""
+    passes = list[int]()
+    leave_skin = Solver.leave_skin
+
+    def counted(solver: Solver, chosen: wp.array) -> None:
+        passes.append(int(chosen.numpy()[0]))
+        leave_skin(solver, chosen)
+
+    monkeypatch.setattr(Solver, "leave_skin", counted)
+    once = DrapeConfig(most_drapes=1, coarse_start=False)
+    drapes = dict(drape_unordered([on_a_spike()], once, device="cpu", at_once=1))
+    assert passes == FINISHES * [1]
+    assert crosses(drapes[0])
+    passes.clear()
+    [clean] = drape_batch([on_a_ball(6)], once, device="cpu")
+    assert passes == [1]
+    assert not crosses(clean)
 
 
 def test_the_best_drape_settles_with_the_fewest_crossings() -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body.limbs import limbs_of
@@ -103,6 +104,18 @@ def test_a_sleeve_is_rolled_round_the_sleeve_below(shirt_and_trousers: tuple[Dra
     over = sewing_start(shirt.box_mesh, shirt.body, [replace(WornCloth.of(shirt.box_mesh, bare), vertices=wide)])
     one, other = (np.ptp(arm.local(at[on_arm])[:, 0]) for at in (bare, over))
     assert other > 1.2 * one
+
+
+def test_sleeves_under_sleeves_lie_on_the_arms(shirt_and_trousers: tuple[DrapeJob, DrapeJob]) -> None:
+    """Alone, a sleeve that is cut for a lower arm stands up in a fold, which a sleeve over it would have to pierce."""
+    shirt, _ = shirt_and_trousers
+    on_arm = WornCloth.of(shirt.box_mesh, shirt.box_mesh.vertices).parts == BodyPart.LEFT_ARM.value
+    alone, pressed = drape_batch([shirt, replace(shirt, under_sleeves=True)], device="cpu")
+    skin = cKDTree(shirt.body.vertices)
+    farthest = [skin.query(drape.vertices[on_arm])[0].max() for drape in (alone, pressed)]
+    assert farthest[0] > 6.0
+    assert farthest[1] < 4.0
+    assert pressed.outcome is Outcome.SETTLED
 
 
 def test_a_tucked_shirt_lies_inside_the_trousers(shirt_and_trousers: tuple[DrapeJob, DrapeJob]) -> None:
