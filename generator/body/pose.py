@@ -135,7 +135,7 @@ def side_and_kind(bone: str) -> tuple[str, str]:
     return side, bone.removeprefix(side)
 
 
-def _parent(bone: str) -> str:
+def parent_of(bone: str) -> str:
     """The bone on which a bone turns; empty for the root."""
     side, kind = side_and_kind(bone)
     parent = TREE[kind][0]
@@ -158,7 +158,7 @@ def pose_body(body: Body, pose: Pose) -> Body:
         return body
     joints, turns, moved = rig().carriers @ body.vertices, {}, {}
     for number, bone in enumerate(BONES):  # parents come first
-        parent = _parent(bone)
+        parent = parent_of(bone)
         own = Rotation.from_rotvec(rig().axes[number] @ pose.turns.get(bone, (0.0, 0.0, 0.0)))
         turns[bone], moved[bone] = own, joints[number]
         if parent:
@@ -177,7 +177,7 @@ def _same_half_space(rotations: Float[np.ndarray, "b 4"]) -> Float[np.ndarray, "
     """The quaternions, each with the sign that brings it nearer to its parent's: blending takes the shorter way."""
     signed = rotations.copy()
     for number, bone in enumerate(BONES):
-        if (parent := _parent(bone)) and signed[number] @ signed[BONES.index(parent)] < 0.0:
+        if (parent := parent_of(bone)) and signed[number] @ signed[BONES.index(parent)] < 0.0:
             signed[number] *= -1.0
     return signed
 
