@@ -119,6 +119,7 @@ def drape_motion(
         slots.move_on(0, Motion.of([here, there], job.body), 1.0 / fps)
         for _ in range(slots.solver.moving[0].frames):
             slots.solver.frame()
+        slots.solver.moving[0].arrive()
         [drape] = _at_once(collect(slots.solver, [job], [0]))
         yield replace(drape, outcome=Outcome.SETTLED) if drape.outcome is Outcome.NOT_SETTLED else drape
         if drape.outcome in (Outcome.DIVERGED, Outcome.FELL, Outcome.SLID_OFF, Outcome.OVERFULL):

@@ -105,6 +105,11 @@ class MovingSkin:
         wp.launch(begin_frame, 1, [self.world], [cloth, state.search], device=self.mesh.device)
         self.frame += 1
 
+    def arrive(self) -> None:
+        """Move the mesh to the end of the last frame, where the cloth is: ``advance`` leaves it at the start."""
+        self.mesh.points.assign(self._at(self.frame))
+        self.mesh.refit()
+
     def _at(self, frame: int) -> Float32[np.ndarray, "w 3"]:
         share = min(frame / self.frames, 1.0)
         share = share * share * (3.0 - 2.0 * share) if self.gently else share
