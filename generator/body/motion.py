@@ -67,8 +67,7 @@ def read_motion(path: str | Path, *, fps: float = 30.0) -> list[Pose]:
     first frame whose root alone has no rotation: in CMU's files it is a T-pose. Raises ``BodyError`` for a damaged
     file, unknown or missing joints, numbers that are none, and poses outside ``LIMITS``; it names the frame, from 1.
     """
-    if not LOWEST_FPS <= fps <= HIGHEST_FPS:
-        raise ConfigError(f"{fps:g} poses a second: give from {LOWEST_FPS:g} to {HIGHEST_FPS:g}")
+    _require_rate(fps)
     text = read_whole(path, "BVH file", limit=LARGEST_BVH, error=BodyError).decode("utf-8", "replace")
     head, mark, body = text.partition("MOTION")
     if not mark or not head.split() or head.split()[0] != "HIERARCHY":
@@ -96,6 +95,11 @@ def read_motion(path: str | Path, *, fps: float = 30.0) -> list[Pose]:
         poses.append(Pose({bone: tuple(angles) for bone, angles in zip(BONES, turn, strict=True)}, name))
         require_possible(poses[-1])
     return poses
+
+
+def _require_rate(fps: float) -> None:
+    if not LOWEST_FPS <= fps <= HIGHEST_FPS:
+        raise ConfigError(f"{fps:g} poses a second: give from {LOWEST_FPS:g} to {HIGHEST_FPS:g}")
 
 
 def _joints(head: str, source: str) -> list[_Joint]:
@@ -304,6 +308,7 @@ ARM_SPREAD, LEG_SPREAD = -18.0, 5.0  # degrees off the A-pose: hands clear of th
 
 def walk(gait: Gait = GAITS["walk"], *, cycles: float = 2.0, fps: float = 30.0, name: str = "walk") -> list[Pose]:
     """The poses of a body that walks on the spot, ``fps`` a second, from standing; a cycle is a step of each leg."""
+    _require_rate(fps)
     frames = int(cycles * 120.0 / gait.cadence * fps) + 1
     return [_step(gait, frame * gait.cadence / (120.0 * fps), f"{name}, frame {frame + 1}") for frame in range(frames)]
 
