@@ -303,7 +303,7 @@ GAITS = {
     "high-knees": Gait(cadence=80.0, thigh=34.0, knee=75.0, arm=20.0, elbow=60.0, turn=3.0),
 }
 """Eight gaits by name."""
-ARM_SPREAD, LEG_SPREAD = -18.0, 5.0  # degrees off the A-pose: hands clear of the hips, thighs of each other
+ARM_SPREAD, LEG_SPREAD = -12.0, 5.0  # degrees off the A-pose: hands clear of the hips, thighs of each other
 
 
 def walk(gait: Gait = GAITS["walk"], *, cycles: float = 2.0, fps: float = 30.0, name: str = "walk") -> list[Pose]:
