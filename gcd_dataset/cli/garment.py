@@ -165,7 +165,8 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
     layers: Sequence[Layer] = ()
     done: Iterable[Fitting | Refusal]
     together: dict[str, Any] = {"fabric": fabric, "resolution": resolution, "device": device}
-    log_drape_time(len(options.spec), device, resolution)
+    if not poses:
+        log_drape_time(len(options.spec), device, resolution)
     if is_outfit := getattr(options, "outfit", False):
         _require_outfit(options)
         done, whole = drape_together(list(map(_require_pattern, patterns)), wearer, **together)
