@@ -97,6 +97,8 @@ class Fitting:
     @property
     def row(self) -> dict[str, Any]:
         """The entry of a report: number of vertices, outcome, frames, crossings, stretch, times and ease."""
+        motion = self.motion
+        counts = dict(zip(CROSSINGS, motion.crossings.T.tolist(), strict=True)) if motion else {}
         return {
             "pattern": self.pattern.name,
             "vertices": len(self.box_mesh.vertices),
@@ -114,15 +116,8 @@ class Fitting:
                 name: {key: x if math.isfinite(x) else None for key, x in asdict(ease).items()}
                 for name, ease in self.ease.items()
             },
-            **({"motion": self._motion_row} if self.motion else {}),
+            **({"motion": {"fps": motion.fps, "clean_frames": int(motion.is_clean.sum()), **counts}} if motion else {}),
         }
-
-    @property
-    def _motion_row(self) -> dict[str, Any]:
-        assert self.motion is not None
-        counts = dict(zip(CROSSINGS, self.motion.crossings.T.tolist(), strict=True))
-        clean = self.motion.is_clean
-        return {"fps": self.motion.fps, "frames": len(clean), "clean_frames": int(clean.sum()), **counts}
 
     def ease_lines(self) -> Iterator[str]:
         """A table of the girths and lengths that the garment has [cm]."""

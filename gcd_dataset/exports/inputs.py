@@ -90,7 +90,7 @@ def body_of(garment: Draped) -> Body | None:
 
 
 def motion_of(garment: Draped) -> GarmentMotion | None:
-    """The motion of a fitting; samples have none."""
+    """The motion of a fitting."""
     return None if isinstance(garment, Sample) else garment.motion
 
 

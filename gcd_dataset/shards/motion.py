@@ -1,11 +1,7 @@
-"""Encodes a garment in motion as ``.motion.z``, and decodes it.
+"""Encodes a garment in motion as ``.motion.z``, and decodes it: see "Garments in motion" in ``docs/format.md``.
 
-A container of named sections (``gcd_dataset.shards.sections``): ``faces``; ``fps``, f8 (1); ``bones``, their names as
-text, u1; ``turns``, f4 (t, 3 b); ``counts``, (t, 3), the crossings; ``first``, (v, 3), as in ``verts.z``; and of more
-than one frame ``steps``, (v, 3 (t - 1)): the later positions as multiples of ``MOTION_STEP``, by frame and axis. The
-way of a vertex from frame to frame is stored less the mean way of its neighbours in the mesh of lower numbers, rounded
-half up; ``steps`` is the sum over the vertices so far, so that the differences of its rows are packed. A prediction by
-skinning would save no bytes beyond this one: neighbours move alike.
+A vertex moves nearly as its neighbours do, so its way from frame to frame is stored less their mean. A prediction by
+skinning would save no bytes beyond this one.
 """
 
 import numpy as np

@@ -75,8 +75,8 @@ def read_motion(path: str | Path, *, fps: float = 30.0) -> list[Pose]:
     joints = _joints(head, str(path))
     bones = _bones(joints, str(path))
     frames, seconds = _frames(body, joints, str(path))
-    root = [channel.endswith("rotation") for channel in joints[0].channels]
-    first = int(len(frames) > 1 and not frames[0, : len(root)][root].any() and frames[1, : len(root)][root].any())
+    upright = [_turns(frames[[row]], joints[:1])[joints[0].name].magnitude()[0] == 0.0 for row in (0, -1)]
+    first = int(upright == [True, False])
     own = _own_turns(_turns(frames[first:], joints), bones)
     last = len(frames) - first - 1
     times = np.arange(int(last * seconds * fps + 1e-6) + 1) / (fps * seconds)  # in frames of the file
@@ -191,10 +191,7 @@ def _frames(text: str, joints: Sequence[_Joint], source: str) -> tuple[Float[np.
             raise BodyError(
                 f"{source}: frame {number + 1}: {len(row)} numbers instead of {width}: give a whole BVH file"
             )
-        try:
-            numbers[number] = row
-        except ValueError:
-            numbers[number] = [_number(word) for word in row]
+        numbers[number] = [_number(word) for word in row]
         if (bad := np.flatnonzero(~np.isfinite(numbers[number]))).size:
             told = f"the {names[bad[0]]} is {shown(row[bad[0]])}"
             raise BodyError(f"{source}: frame {number + 1}: {told}: give a number, or leave the frame out")
@@ -273,7 +270,7 @@ def _to_rest(bone: str, bones: Mapping[str, _Joint]) -> Rotation:
 
 @dataclass(frozen=True)
 class Gait:
-    """A way of walking: amplitudes of the joints [degrees], after the means of Perry (Gait Analysis, 1992)."""
+    """A way of walking: amplitudes of the joints [degrees]. Chosen by us, near those of normal gait."""
 
     cadence: float = 112.0
     """Steps a minute."""
