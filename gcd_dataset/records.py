@@ -12,7 +12,7 @@ from math import cos, inf, nan, sin
 from typing import Any, Self, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from gcd_dataset.curves import LINE, Curve, Point, curve_length
 from gcd_dataset.errors import PatternError
@@ -391,12 +391,14 @@ class Pattern(Record):
 
 POSITION_STEP = 2.0**-9
 """Draped positions are multiples of this [cm], so that what is judged is what shards store."""
+MOTION_STEP = 2.0**-4
+"""Positions of a garment in motion are multiples of this [cm] after its first frame."""
 UV_STEP = 2.0**-10
 """Shards store positions in panels as multiples of this [cm]."""
 
 
 def as_stored(positions: Float[np.ndarray, "*n"], step: float) -> Float[np.ndarray, "*n"]:
-    """Positions as shards store them: rounded to multiples of ``POSITION_STEP`` or ``UV_STEP``."""
+    """Positions as files store them: rounded to multiples of ``POSITION_STEP``, ``MOTION_STEP`` or ``UV_STEP``."""
     return np.rint(np.asarray(positions, float) / step) * step
 
 
@@ -527,6 +529,26 @@ class Drape(Record):
     """Number of edges of these that cross the cloth; -1 where not counted: older versions, published data."""
     reason: str = field(default="", compare=False)
     """Where a garment lies that slid off or fell, with heights [cm], or why it was refused; not stored in data sets."""
+
+
+@dataclass(frozen=True, eq=False)
+class GarmentMotion(Record):
+    """A garment on a body that moves, at equal intervals of time."""
+
+    vertices: Float32[np.ndarray, "t v 3"]
+    """Positions [cm], as files store them; in the first frame the garment is at rest."""
+    faces: Int[np.ndarray, "f 3"]
+    poses: tuple[Pose, ...]
+    """Of the body, in each frame."""
+    fps: float
+    """Frames a second."""
+    crossings: Int[np.ndarray, "t 3"]
+    """``self_crossings``, ``body_crossings`` and ``body_through`` of the drape in each frame, before rounding."""
+
+    @property
+    def is_clean(self) -> Bool[np.ndarray, " t"]:
+        """Whether a frame has no crossings."""
+        return np.asarray((self.crossings == 0).all(axis=1))
 
 
 GIRTHS = (

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING
 from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_body, named_pose, pose_body
+    from gcd_dataset.generator.body import (
+        build_body,
+        draw_shape,
+        fit_shape,
+        measure,
+        named_body,
+        named_pose,
+        pose_body,
+        read_motion,
+        walk,
+    )
     from gcd_dataset.generator.body.by_name import make_person
     from gcd_dataset.generator.body.sizes import SizeChart, read_chart
     from gcd_dataset.generator.drape import (
@@ -70,9 +80,11 @@ __all__ = [
     "produce",
     "read_chart",
     "read_design",
+    "read_motion",
     "read_overlay",
     "real_parameters",
     "sample_design",
+    "walk",
 ]
 
 __getattr__, __dir__ = lazy_names(__name__)

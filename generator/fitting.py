@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import UInt8
 
 from gcd_dataset import __version__
 from gcd_dataset.bodyfiles import write_measurements
@@ -21,7 +22,8 @@ from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError,
 from gcd_dataset.faults import Severity, require_valid
 from gcd_dataset.files import make_folder, safe_name, write_whole
 from gcd_dataset.generator.body.pose import pose_body, pose_degrees
-from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, drape_outfit
+from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, drape_motion, drape_outfit
+from gcd_dataset.generator.drape.outcome import KEEPS_CROSSINGS
 from gcd_dataset.generator.drapers import DrapeReply
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
@@ -42,6 +44,7 @@ from gcd_dataset.records import (
     Drape,
     Ease,
     Fit,
+    GarmentMotion,
     Layer,
     Maps,
     Measurements,
@@ -52,11 +55,14 @@ from gcd_dataset.records import (
     WornGarment,
 )
 from gcd_dataset.release.published_names import ENDINGS
+from gcd_dataset.shards.motion import encode_motion, motion_as_stored
 from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
 
 log = logging.getLogger(__name__)
 
 PICTURE_SIZE = 800  # pixels
+CROSSINGS = ("self_crossings", "body_crossings", "body_through")
+STRIP, STRIP_SIZE = 8, 300  # frames in the picture of a motion, and pixels of each
 
 
 @dataclass(frozen=True)
@@ -78,10 +84,21 @@ class Fitting:
     maps: Maps | None = None
     outfit: Outfit | None = None
     """The garments that this one joins."""
+    motion: GarmentMotion | None = None
+    """The garment on the moving body; ``body`` and ``drape`` are those of its first frame."""
+    home: Body | None = None
+    """The body of a motion in the A-pose."""
+
+    def body_in(self, frame: int) -> Body:
+        """The body in a frame of the motion."""
+        assert self.motion is not None and self.home is not None
+        return pose_body(self.home, self.motion.poses[frame])
 
     @property
     def row(self) -> dict[str, Any]:
         """The entry of a report: number of vertices, outcome, frames, crossings, stretch, times and ease."""
+        motion = self.motion
+        counts = dict(zip(CROSSINGS, motion.crossings.T.tolist(), strict=True)) if motion else {}
         return {
             "pattern": self.pattern.name,
             "vertices": len(self.box_mesh.vertices),
@@ -99,6 +116,7 @@ class Fitting:
                 name: {key: x if math.isfinite(x) else None for key, x in asdict(ease).items()}
                 for name, ease in self.ease.items()
             },
+            **({"motion": {"fps": motion.fps, "clean_frames": int(motion.is_clean.sum()), **counts}} if motion else {}),
         }
 
     def ease_lines(self) -> Iterator[str]:
@@ -249,18 +267,11 @@ def _work(
     pose: Pose | None,
 ) -> DrapeWork[Fitting | Refusal]:
     """The drape job of a pattern, and the function that makes a ``Fitting`` of the reply; without a job a refusal."""
-    if isinstance(pattern, Refusal):
-        return DrapeWork([], lambda _: pattern)
-    try:
-        dressing, (body, size) = _dress(pattern, wearer)
-        start = time.perf_counter()
-        mesh = build_box_mesh(dressing.pattern, spacing=resolution)
-        seconds = time.perf_counter() - start
-        job = DrapeJob(mesh, body, size, fabric, pose=pose)
-        job.require_drapeable()
-    except (PatternError, MeshError, DrapeError) as error:
-        refusal = Refusal(pattern.name, str(error))
-        return DrapeWork([], lambda _: refusal)
+    prepared = _prepared(pattern, wearer, fabric, resolution)
+    if isinstance(prepared, Refusal):
+        return DrapeWork([], lambda _: prepared)
+    dressing, job, seconds = prepared
+    mesh, body, size = job.box_mesh, job.body, job.measurements
 
     def finish(replies: Sequence[DrapeReply]) -> Fitting:
         [reply] = replies
@@ -269,7 +280,66 @@ def _work(
         posed = pose_body(body, pose) if pose else body
         return Fitting(dressing.pattern, posed, dressing.assumed, mesh, drape, ease, seconds, reply.seconds, reply.maps)
 
-    return DrapeWork([job], finish, maps=maps)
+    return DrapeWork([replace(job, pose=pose)], finish, maps=maps)
+
+
+def _prepared(
+    pattern: Pattern | Refusal,
+    wearer: Callable[[bool], tuple[Body, Measurements]],
+    fabric: Fabric,
+    resolution: float,
+) -> tuple[Dressing, DrapeJob, float] | Refusal:
+    """The pattern as placed, its drape job, and the time to mesh it [s]."""
+    if isinstance(pattern, Refusal):
+        return pattern
+    try:
+        dressing, (body, size) = _dress(pattern, wearer)
+        start = time.perf_counter()
+        mesh = build_box_mesh(dressing.pattern, spacing=resolution)
+        seconds = time.perf_counter() - start
+        job = DrapeJob(mesh, body, size, fabric)
+        job.require_drapeable()
+    except (PatternError, MeshError, DrapeError) as error:
+        return Refusal(pattern.name, str(error))
+    return dressing, job, seconds
+
+
+def drape_moving(
+    patterns: Iterable[Pattern | Refusal],
+    wearer: Callable[[bool], tuple[Body, Measurements]],
+    poses: Sequence[Pose],
+    *,
+    fps: float = 30.0,
+    fabric: Fabric = FABRICS[DEFAULT_FABRIC],
+    resolution: float = 1.0,
+    device: str = "auto",
+) -> Iterator[Fitting | Refusal]:
+    """Drape each pattern on a body that moves through poses, ``fps`` a second, as ``drape_motion`` does.
+
+    Other arguments as for ``drape_patterns``. ``Fitting.motion`` ends before a frame in which the garment slides off,
+    falls or diverges: the drape has that outcome, and its reason names the frame, from 1. A garment that does not come
+    to rest in the first pose has no motion. Raises ``BodyError`` for an impossible pose.
+    """
+    for pattern in patterns:
+        prepared = _prepared(pattern, wearer, fabric, resolution)
+        if isinstance(prepared, Refusal):
+            yield prepared
+            continue
+        dressing, job, seconds = prepared
+        start = time.perf_counter()
+        drapes = list(drape_motion(job, poses, fps=fps, device=device))
+        taken, rest, last = time.perf_counter() - start, drapes[0], drapes[-1]
+        if last.outcome not in KEEPS_CROSSINGS:
+            where = f"frame {len(drapes)} of {len(poses)}"
+            rest = replace(rest, outcome=last.outcome, reason=f"{where}: {last.reason}" if last.reason else where)
+            drapes.pop()
+        crossings = np.array([[getattr(drape, name) for name in CROSSINGS] for drape in drapes])
+        motion = None
+        if drapes:
+            positions = motion_as_stored(np.stack([drape.vertices for drape in drapes]))
+            motion = GarmentMotion(positions, job.box_mesh.faces, tuple(poses[: len(drapes)]), fps, crossings)
+        fitting = Fitting(dressing.pattern, job.body, dressing.assumed, job.box_mesh, rest, {}, seconds, taken)
+        yield replace(fitting, body=pose_body(job.body, poses[0]), home=job.body, motion=motion)
 
 
 def drape_together(
@@ -350,7 +420,8 @@ def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: 
     """Write pictures of a fitting to ``folder``, and unless it diverged OBJ with MTL, PLY, and GLB if ``glb``.
 
     GLB includes the body; see ``gcd_dataset.exports``. Maps, if it has them, become an NPZ file with the fields of
-    ``Maps``, in the order of the PLY's vertices. Raises ``OutputError``.
+    ``Maps``, in the order of the PLY's vertices; a motion becomes ``.motion.z`` and a picture of frames in a row, from
+    the front and from the side. Raises ``OutputError``.
     """
     from gcd_dataset import exports
 
@@ -365,11 +436,24 @@ def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: 
         stretch, gap, pressure = (value.astype(np.float32) for value in (maps.stretch, maps.gap, maps.pressure))
         np.savez(content, stretch=stretch, gap=gap, pressure=pressure, softened=np.float32(maps.softened))
         write_whole(folder / f"{name}_maps.npz", content.getvalue())
+    if fitting.motion is not None:
+        write_whole(folder / f"{name}.motion.z", encode_motion(fitting.motion))
+        write_whole(folder / f"{name}_motion.png", png_bytes(_strip(fitting, device)))
     if np.isfinite(vertices).all():
         exports.obj(fitting, folder / f"{name}.obj", body=False)
         exports.ply(fitting, folder / f"{name}.ply")
         if glb:
             exports.glb(fitting, folder / f"{name}.glb")
+
+
+def _strip(fitting: Fitting, device: str) -> UInt8[np.ndarray, "h w 3"]:
+    """Frames of a motion at equal intervals, from the front, and below from the side."""
+    assert fitting.motion is not None
+    at = fitting.motion.vertices
+    frames = np.unique(np.linspace(0, len(at) - 1, STRIP).round().astype(int)).tolist()
+    scenes = [garment_scene(at[frame], fitting.box_mesh, fitting.body_in(frame)) for frame in frames]
+    pictures = start_plain(scenes, size=STRIP_SIZE, sides=("front", "side"), device=device).lend_rgb()
+    return np.concatenate([np.concatenate(list(pictures[row::2]), axis=1) for row in range(2)])
 
 
 def write_report(
@@ -383,10 +467,12 @@ def write_report(
     fits: Iterable[Fit | None] = repeat(None),
     layers: Sequence[Layer] = (),
     pose: Pose | None = None,
+    motion: str | None = None,
 ) -> None:
     """Write a JSON report: the settings, and the result of each file. Raises ``OutputError``.
 
-    ``fits``: of the files in order, for garments cut for a size; ``layers``: of an outfit of all files.
+    ``fits``: of the files in order, for garments cut for a size; ``layers``: of an outfit of all files; ``motion``: its
+    name or file.
     """
     report = {
         "gcd_dataset": __version__,
@@ -395,6 +481,7 @@ def write_report(
         "device": device,
         "body": body,
         **({"pose": pose_degrees(pose)} if pose else {}),
+        **({"motion": motion} if motion else {}),
         "fabric": fabric,
         "resolution_cm": resolution,
         "garments": [

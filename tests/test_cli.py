@@ -23,7 +23,9 @@ from gcd_dataset.cli import main
 from gcd_dataset.cli.common import Stopped, interrupts_after_imports
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import named_body, read_measurements
+from gcd_dataset.generator.body.motion import Gait
 from gcd_dataset.generator.body.sizes import read_chart
+from gcd_dataset.generator.drape.holds import fell
 from gcd_dataset.generator.fitting import Fitting, write_fitting
 from gcd_dataset.generator.garments import design_from_dict, draw_garment, read_design
 from gcd_dataset.generator.garments.overlay import Overlay
@@ -31,6 +33,7 @@ from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.records import Outcome, Pattern
+from gcd_dataset.shards import decode_motion
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from tests.helpers import napkins
 from tests.shards.folders import contents
@@ -280,6 +283,39 @@ def test_drape_moves_the_body_to_a_pose(tmp_path: Path, capsys: pytest.CaptureFi
     report = json.loads((out / "report.json").read_text())
     assert report["pose"]["left_thigh"] == [20.0, 5.0, 0.0]
     assert report["garments"][0]["frames"] > 10
+
+
+def test_drape_moves_the_body_through_a_motion(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames, their crossings and a picture; a garment that falls in frame 4 keeps three, and exits with 1."""
+    spec, out, bvh = tmp_path / "skirt.json", tmp_path / "out", tmp_path / "walk.bvh"
+    design = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.2}})
+    write_pattern(draw_garment(named_body("neutral")[1], design), spec)
+    bvh.write_text("HIERARCHY")
+    options = ["drape", str(spec), "--out", str(out), "--resolution", "8", "--device", "cpu", "--quiet"]
+    for wrong, told in (
+        (["--motion", "lotus"], "no motion named lotus: there are walk"),
+        (["--motion", str(bvh)], "walk.bvh: no HIERARCHY and MOTION"),
+        (["--motion", "walk", "--fps", "0.5"], "0.5 poses a second"),
+        (["--motion", "walk", "--pose", "t-pose"], "leave --pose out"),
+        (["--motion", "walk", "--maps"], "leave them out with --motion"),
+        (["--fps", "25"], "give --motion"),
+    ):
+        assert main([*options, *wrong]) != 0
+        assert told in one_line(capsys.readouterr().err)
+        assert not out.exists()
+    monkeypatch.setattr("gcd_dataset.generator.body.motion.GAITS", {"walk": Gait(cadence=900.0)})
+    calls = iter(range(99))  # the first two: at rest in the A-pose, and in the first frame
+    falls = lambda *given: "it lies at 2 cm" if next(calls) == 4 else fell(*given)  # noqa: E731
+    monkeypatch.setattr("gcd_dataset.generator.drape.outcome.fell", falls)
+    assert main([*options, "--motion", "walk"]) == 1
+    assert "FELL" in (said := capsys.readouterr().out) and "frame 4 of 9: it lies at 2 cm" in said
+    [row] = json.loads((out / "report.json").read_text())["garments"]
+    motion = decode_motion((out / "skirt.motion.z").read_bytes())
+    assert len(row["motion"]["body_through"]) == len(motion.vertices) == 3
+    assert motion.crossings[:, 1].tolist() == row["motion"]["body_crossings"]
+    assert np.asarray(Image.open(out / "skirt_motion.png")).shape[:2] == (600, 900)
 
 
 def test_drape_cuts_a_design_for_a_size_and_tells_how_it_fits(

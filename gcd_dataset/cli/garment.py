@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from gcd_dataset.records import Body, Layer, Pattern, Pose
 
 DESIGN_HELP = "GarmentCode's design_params.yaml, or ours"
+FPS = 30.0
 FABRICS = "denim, drill, interlock, wool_light ...; an unknown name lists them all"
 
 
@@ -91,6 +92,13 @@ def _add_draping(drape: Parser) -> None:
         'bend, spread and twist by bone [degrees], such as {"forearm": [30, 0, 0]}',
     )
     drape.add_argument(
+        "--motion",
+        metavar="MOTION",
+        help="move the body under the garment: a gait, such as walk, stroll or march, or a BVH file with CMU's joints; "
+        "NAME.motion.z has all frames, NAME_motion.png shows some, and report.json counts the crossings of each",
+    )
+    drape.add_argument("--fps", type=float, metavar="N", help="frames of --motion a second, up to 1000 (default: 30)")
+    drape.add_argument(
         "--maps", action="store_true", help="also stretch, gap to the skin and pressure on it, by vertex, as NPZ"
     )
     drape.add_argument(
@@ -130,6 +138,7 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
         Fitting,
         Refusal,
         cut_patterns,
+        drape_moving,
         drape_patterns,
         drape_together,
         read_patterns,
@@ -145,7 +154,7 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
     cut = _cut_size(options)
     wearer = wearer or wearer_of(options)
     body, size = wearer(False)  # raises before anything is written
-    pose = _pose_of(options, body)
+    pose, poses = _pose_of(options, body), _motion_of(options, body)
     cut = cut and replace(cut, wearer_size=size_or_none(cut.chart, size))
     cuts = list(cut_patterns(options.spec, cut, size)) if cut else []
     patterns = (pattern for pattern, _ in cuts) if cut else read_patterns(options.spec)
@@ -156,12 +165,16 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
     layers: Sequence[Layer] = ()
     done: Iterable[Fitting | Refusal]
     together: dict[str, Any] = {"fabric": fabric, "resolution": resolution, "device": device}
-    log_drape_time(len(options.spec), device, resolution)
+    if not poses:
+        log_drape_time(len(options.spec), device, resolution)
     if is_outfit := getattr(options, "outfit", False):
         _require_outfit(options)
         done, whole = drape_together(list(map(_require_pattern, patterns)), wearer, **together)
         folder, layers = make_folder(options.out), whole.outfit.layers if whole.outfit else ()
         write_fitting(whole, folder, glb=options.glb, device=device)
+    elif poses:
+        folder = make_folder(options.out)
+        done = drape_moving(patterns, wearer, poses, fps=options.fps or FPS, **together)
     else:
         folder = make_folder(options.out)
         done = drape_patterns(patterns, wearer, maps=options.maps, pose=pose, **together)
@@ -176,7 +189,14 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
             of_files = zip(options.spec, fittings, strict=False)
             fits = [fit for _, fit in cuts] or repeat(None)
             write_report(
-                of_files, folder / "report.json", resolution=resolution, fits=fits, layers=layers, pose=pose, **made_by
+                of_files,
+                folder / "report.json",
+                resolution=resolution,
+                fits=fits,
+                layers=layers,
+                pose=pose,
+                motion=options.motion,
+                **made_by,
             )
     failed = False
     for fitting in fittings:
@@ -190,6 +210,8 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
             f"{drape.self_crossings} self crossings, {drape.body_crossings} edges through the body, "
             f"{drape.body_through} of the body through the cloth, {fitting.drape_seconds:.1f} s"
         )
+        if motion := fitting.motion:
+            print(f"  {len(motion.poses)} frames, {motion.is_clean.sum()} without a crossing")
         if drape.outcome is not Outcome.SETTLED:
             print(f"  {drape.reason}{': ' if drape.reason else ''}{drape.outcome.value}")
             failed = failed or not options.allow_unsettled
@@ -206,8 +228,7 @@ def _pose_of(options: argparse.Namespace, body: "Body") -> "Pose | None":
     """The pose of ``--pose``; prints a warning where it cuts the body. Raises ``BodyError``, ``ConfigError``."""
     if options.pose is None:
         return None
-    if options.maps or getattr(options, "outfit", False):
-        raise ConfigError("--maps and --outfit are for a body in the A-pose: leave them out with --pose")
+    _require_a_pose(options, "--pose")
     from gcd_dataset.generator.body.pose import named_pose, pose_body
     from gcd_dataset.generator.drape.self_contact import skin_crossings
 
@@ -215,6 +236,31 @@ def _pose_of(options: argparse.Namespace, body: "Body") -> "Pose | None":
     if cut := skin_crossings(pose_body(body, pose)):
         print(f"gcd {options.verb}: {options.pose}: in this pose the body cuts itself, at {cut} edges", file=sys.stderr)
     return pose
+
+
+def _motion_of(options: argparse.Namespace, body: "Body") -> "list[Pose] | None":
+    """The poses of ``--motion``; prints a warning where they cut the body. Raises ``BodyError``, ``ConfigError``."""
+    if options.motion is None:
+        if options.fps is not None:
+            raise ConfigError("--fps is the rate of a motion: give --motion")
+        return None
+    _require_a_pose(options, "--motion")
+    if options.pose is not None:
+        raise ConfigError("--motion begins in a pose of its own: leave --pose out")
+    from gcd_dataset.generator.body import named_motion, pose_body
+    from gcd_dataset.generator.drape.self_contact import skin_crossings
+
+    poses = named_motion(options.motion, fps=options.fps or FPS)
+    if cut := sum(skin_crossings(pose_body(body, pose)) > 0 for pose in poses):
+        told = f"the body cuts itself in {cut} of {len(poses)} frames"
+        print(f"gcd {options.verb}: {options.motion}: {told}", file=sys.stderr)
+    return poses
+
+
+def _require_a_pose(options: argparse.Namespace, option: str) -> None:
+    """Raise ``ConfigError`` for options that move no body."""
+    if options.maps or getattr(options, "outfit", False):
+        raise ConfigError(f"--maps and --outfit are for a body in the A-pose: leave them out with {option}")
 
 
 def _require_outfit(options: argparse.Namespace) -> None:

@@ -7,10 +7,11 @@ from types import ModuleType
 from typing import TYPE_CHECKING, TypeAlias, Union
 
 import numpy as np
+from jaxtyping import Float
 
 from gcd_dataset.errors import ConfigError, ExtraMissing, ShardError
 from gcd_dataset.outfits import joined
-from gcd_dataset.records import Body, BoxMesh, Drape, Outcome, Pattern, Sample
+from gcd_dataset.records import Body, BoxMesh, Drape, GarmentMotion, Outcome, Pattern, Sample
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.fitting import Fitting
@@ -86,3 +87,14 @@ def body_of(garment: Draped) -> Body | None:
     from gcd_dataset.generator.body import build_body
 
     return build_body(garment.shape, name=garment.provenance.body_name or "body")
+
+
+def motion_of(garment: Draped) -> GarmentMotion | None:
+    """The motion of a fitting."""
+    return None if isinstance(garment, Sample) else garment.motion
+
+
+def body_shapes(garment: Draped) -> Float[np.ndarray, "t v 3"]:
+    """The vertices of a fitting's body in each frame of its motion [cm]."""
+    assert not isinstance(garment, Sample) and garment.motion is not None
+    return np.stack([garment.body_in(frame).vertices for frame in range(len(garment.motion.poses))])

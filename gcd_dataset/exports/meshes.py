@@ -12,7 +12,17 @@ from jaxtyping import Float, Int
 
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import ConfigError, shown
-from gcd_dataset.exports.inputs import Draped, body_of, draped_mesh, key_of, optional, require_suffix
+from gcd_dataset.exports.animation import animated
+from gcd_dataset.exports.inputs import (
+    Draped,
+    body_of,
+    body_shapes,
+    draped_mesh,
+    key_of,
+    motion_of,
+    optional,
+    require_suffix,
+)
 from gcd_dataset.files import open_whole, plain_names, write_whole
 from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.outfits import apart
@@ -86,9 +96,9 @@ def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
     """Write the draped garment, on its body, as binary glTF [m].
 
     A node and a material for each panel, named after it; of an outfit below a node for each garment, ``garment_0``, ….
-    ``tile``: centimetres of cloth that a texture covers, in both
-    directions of every panel. ``body``: whether to include the body, if the sample holds its shape. Raises
-    ``ShardError`` for a sample without a drape, ``ConfigError`` for a name that does not end in ``.glb``,
+    A fitting in motion moves: each of its frames is a morph target. ``tile``: centimetres of cloth that a texture
+    covers, in both directions of every panel. ``body``: whether to include the body, if the sample holds its shape.
+    Raises ``ShardError`` for a sample without a drape, ``ConfigError`` for a name that does not end in ``.glb``,
     ``OutputError``.
     """
     import trimesh
@@ -97,6 +107,9 @@ def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
     mesh, drape = draped_mesh(garment)
     uv, normals = texture_coordinates(mesh, tile), smooth_normals(drape.vertices, mesh.faces)
     scene, garment_of = trimesh.Scene(), _garment_of(garment)
+    motion = motion_of(garment)
+    frames = [] if motion is None else [smooth_normals(each, mesh.faces) for each in motion.vertices]
+    shapes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     for number, (name, part) in enumerate(zip(mesh.panel_names, _part_names(mesh.panel_names), strict=True)):
         rows, corners = np.unique(mesh.corners[mesh.panel_id == number], return_inverse=True)
         if not len(rows):
@@ -111,6 +124,8 @@ def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
             metadata={PANEL: name},
             process=False,
         )
+        if motion is not None:
+            shapes[part] = METRE * motion.vertices[:, vertex], np.stack([each[vertex] for each in frames])
         node = f"garment_{garment_of[number]}" if garment_of else None
         if node is not None and node not in scene.graph.nodes:
             scene.graph.update(frame_to=node)
@@ -118,6 +133,9 @@ def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
     worn = body_of(garment) if body else None
     if worn is not None:
         scene.add_geometry(_skin(worn), geom_name="body", node_name="body")
+        if motion is not None:
+            bodies = body_shapes(garment)
+            shapes["body"] = METRE * bodies, np.stack([smooth_normals(each, worn.faces) for each in bodies])
     scene.metadata[GLB_FACTS] = {
         "garment": key_of(garment),
         "pattern": garment.pattern.name,
@@ -125,7 +143,8 @@ def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
         "tile_cm": tile,
         "body": worn is not None,
     }
-    write_whole(path, scene.export(file_type="glb", include_normals=True))
+    data = scene.export(file_type="glb", include_normals=True)
+    write_whole(path, data if motion is None else animated(data, shapes, motion.fps))
 
 
 def obj(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
@@ -201,7 +220,15 @@ def _skin(body: Body) -> Any:
     visual = trimesh.visual.TextureVisuals(
         uv=np.zeros((len(body.vertices), 2)), material=_material("body", SKIN, two=False)
     )
-    return trimesh.Trimesh(METRE * body.vertices, body.faces, visual=visual, metadata={BODY: body.name}, process=False)
+    normals = smooth_normals(body.vertices, body.faces)
+    return trimesh.Trimesh(
+        METRE * body.vertices,
+        body.faces,
+        vertex_normals=normals,
+        visual=visual,
+        metadata={BODY: body.name},
+        process=False,
+    )
 
 
 def _garment_of(garment: Draped) -> list[int]:
@@ -234,8 +261,8 @@ def usd(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
     ``verts``, with texture coordinates ``primvars:st`` (1 is ``tile`` cm of cloth) and a ``GeomSubset`` with a material
     for each panel; ``seams`` are linear curves, one for each seam of the pattern, in order, from the start of its left
     edge. Those of an outfit are ``garment_0``, ``seams_0``, …. ``body``: whether to include the body, if the sample
-    holds its shape. Raises ``ShardError`` for a sample without a drape, ``ConfigError`` for another suffix,
-    ``ExtraMissing`` without usd-core, ``OutputError``.
+    holds its shape. A fitting in motion has time samples, a time code for each frame. Raises ``ShardError`` for a
+    sample without a drape, ``ConfigError`` for another suffix, ``ExtraMissing`` without usd-core, ``OutputError``.
     """
     path = require_suffix(path, *SUFFIXES)
     stage = _stage(garment, tile, body)
@@ -261,10 +288,17 @@ def _stage(garment: Draped, tile: float, with_body: bool) -> Any:
         place = f"_{number}" if len(garments) > 1 else ""
         _add_garment(stage, top, place, one, tile)
         _add_seams(stage, f"{top}/seams{place}", one)
+    motion = motion_of(garment)
+    if motion is not None:
+        stage.SetTimeCodesPerSecond(motion.fps)
+        stage.SetStartTimeCode(0.0)
+        stage.SetEndTimeCode(len(motion.poses) - 1.0)
     if with_body and (body := body_of(garment)) is not None:
         skin = _add_mesh(stage, f"{top}/body", body.vertices, body.faces)
         skin.CreateDisplayColorPrimvar(geom.Tokens.constant).Set(_array("Vec3fArray", np.array([SKIN])))
         _bind(stage, skin, f"{top}/materials/body", SKIN)
+        if motion is not None:
+            _move(skin, body_shapes(garment), body.faces)
     return stage
 
 
@@ -273,6 +307,9 @@ def _add_garment(stage: Any, top: str, place: str, garment: Draped, tile: float)
     mesh, drape = draped_mesh(garment)
     cloth = _add_mesh(stage, f"{top}/garment{place}", drape.vertices, mesh.faces)
     cloth.CreateDoubleSidedAttr(True)
+    motion = motion_of(garment)
+    if motion is not None:
+        _move(cloth, motion.vertices, mesh.faces)
     st = geom.PrimvarsAPI(cloth).CreatePrimvar("st", sdf.ValueTypeNames.TexCoord2fArray, geom.Tokens.faceVarying)
     st.Set(_array("Vec2fArray", texture_coordinates(mesh, tile)))
     st.SetIndices(_array("IntArray", mesh.corners.ravel()))
@@ -295,15 +332,17 @@ def _add_garment(stage: Any, top: str, place: str, garment: Draped, tile: float)
 def _add_seams(stage: Any, path: str, garment: Draped) -> None:
     geom = optional("pxr.UsdGeom")
     mesh, drape = draped_mesh(garment)
-    lines = [drape.vertices[vertices] for vertices in seam_vertices(mesh, garment.pattern)]
-    lines = [line if len(line) > 1 else np.repeat(line[:1], 2, axis=0) for line in lines if len(line)]
+    lines = [line if len(line) > 1 else line.repeat(2) for line in seam_vertices(mesh, garment.pattern) if len(line)]
     if not lines:
         return
     curves = geom.BasisCurves.Define(stage, path)
     curves.CreateTypeAttr(geom.Tokens.linear)
     curves.CreateWrapAttr(geom.Tokens.nonperiodic)
-    points = np.concatenate(lines)
+    along = np.concatenate(lines)
+    points = drape.vertices[along]
     curves.CreatePointsAttr(_array("Vec3fArray", points))
+    for time, vertices in enumerate(motion.vertices if (motion := motion_of(garment)) else ()):
+        curves.GetPointsAttr().Set(_array("Vec3fArray", vertices[along]), time)
     curves.CreateCurveVertexCountsAttr(_array("IntArray", np.array([len(line) for line in lines])))
     curves.CreateWidthsAttr(_array("FloatArray", np.array([SEAM_WIDTH])))
     curves.SetWidthsInterpolation(geom.Tokens.constant)
@@ -323,6 +362,14 @@ def _add_mesh(stage: Any, path: str, vertices: np.ndarray, faces: np.ndarray) ->
     mesh.SetNormalsInterpolation(geom.Tokens.vertex)
     mesh.CreateExtentAttr(_array("Vec3fArray", np.stack([vertices.min(0), vertices.max(0)])))
     return mesh
+
+
+def _move(mesh: Any, frames: Float[np.ndarray, "t v 3"], faces: np.ndarray) -> None:
+    """Time samples of a mesh."""
+    for time, vertices in enumerate(frames):
+        mesh.GetPointsAttr().Set(_array("Vec3fArray", vertices), time)
+        mesh.GetNormalsAttr().Set(_array("Vec3fArray", smooth_normals(vertices, faces)), time)
+        mesh.GetExtentAttr().Set(_array("Vec3fArray", np.stack([vertices.min(0), vertices.max(0)])), time)
 
 
 def _bind(stage: Any, bound: Any, path: str, colour: tuple[float, float, float]) -> None:

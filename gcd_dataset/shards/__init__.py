@@ -10,6 +10,7 @@ from gcd_dataset.shards.codec import decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import BODIES, FIELDS, GARMENTS, MEMBERS, SCHEMA, Layout
 from gcd_dataset.shards.manifest import Manifest, Plan, ShardRecord, SplitRecord, read_manifest
+from gcd_dataset.shards.motion import decode_motion, encode_motion
 
 if TYPE_CHECKING:
     from gcd_dataset.shards.reader import ShardReader
@@ -30,7 +31,9 @@ __all__ = [
     "SplitIndex",
     "SplitRecord",
     "decode_fields",
+    "decode_motion",
     "decode_sample",
+    "encode_motion",
     "encode_sample",
     "read_manifest",
 ]

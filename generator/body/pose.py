@@ -135,14 +135,15 @@ def side_and_kind(bone: str) -> tuple[str, str]:
     return side, bone.removeprefix(side)
 
 
-def _parent(bone: str) -> int:
-    """The number of the bone that carries this one; -1 for the root."""
+def parent_of(bone: str) -> str:
+    """The bone on which a bone turns; empty for the root."""
     side, kind = side_and_kind(bone)
     parent = TREE[kind][0]
-    return -1 if not parent else BONES.index(parent if parent in TRUNK else side + parent)
+    return parent if parent in ("", *TRUNK) else side + parent
 
 
-PARENTS = tuple(_parent(bone) for bone in BONES)
+PARENTS = tuple(BONES.index(parent) if (parent := parent_of(bone)) else -1 for bone in BONES)
+"""The number of the bone that carries each bone; -1 for the root."""
 
 
 def _across(bone: str) -> str:

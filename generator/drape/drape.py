@@ -108,7 +108,7 @@ def drape_motion(
     yield rest
     if rest.outcome not in KEEPS_CROSSINGS:
         return
-    config = replace(config, untangling_steps=0, exact_finish=False)
+    config = replace(config, untangling_steps=0)
     here = pose_body(job.body, first)
     model = build_model([replace(job, body=here)], config, device)
     slots = Slots(sum(rooms_of(model)), 1, config, device)
@@ -119,7 +119,10 @@ def drape_motion(
         slots.move_on(0, Motion.of([here, there], job.body), 1.0 / fps)
         for _ in range(slots.solver.moving[0].frames):
             slots.solver.frame()
+        slots.solver.moving[0].arrive()
+        moving = wp.clone(slots.solver.state.x)  # the finish is for the drape alone: the cloth moves on as it was
         [drape] = _at_once(collect(slots.solver, [job], [0]))
+        wp.copy(slots.solver.state.x, moving)
         yield replace(drape, outcome=Outcome.SETTLED) if drape.outcome is Outcome.NOT_SETTLED else drape
         if drape.outcome in (Outcome.DIVERGED, Outcome.FELL, Outcome.SLID_OFF, Outcome.OVERFULL):
             return

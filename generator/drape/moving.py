@@ -106,6 +106,11 @@ class MovingSkin:
         self.mesh.refit()
         self.frame += 1
 
+    def arrive(self) -> None:
+        """Move the mesh to the end of the motion, where the cloth is: ``advance`` leaves it a frame earlier."""
+        wp.copy(self.mesh.points, self.keys[-1])
+        self.mesh.refit()
+
     def _along(self, frame: int) -> float:
         """How many keys lie behind the skin at a frame."""
         share = min(frame / self.frames, 1.0)

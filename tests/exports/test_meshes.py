@@ -16,9 +16,10 @@ from pxr import Usd, UsdGeom, UsdShade
 from gcd_dataset import exports
 from gcd_dataset.errors import ConfigError, ExtraMissing, ShardError
 from gcd_dataset.exports.meshes import seam_vertices, smooth_normals, texture_coordinates
-from gcd_dataset.generator.body import build_body
+from gcd_dataset.generator.body import build_body, named_shape
+from gcd_dataset.generator.fitting import Fitting
 from gcd_dataset.outfits import apart
-from gcd_dataset.records import BoxMesh, Drape, Outcome, Sample
+from gcd_dataset.records import BoxMesh, Drape, GarmentMotion, Outcome, Pattern, Pose, Sample
 from tests.exports.patterns import NAMES
 from tests.helpers import patch, tube
 from tests.shards.folders import fake_outfit
@@ -273,3 +274,61 @@ def test_usd_without_its_library(worn: Sample, tmp_path: Path, monkeypatch: pyte
     monkeypatch.setitem(sys.modules, "pxr.Usd", None)
     with pytest.raises(ExtraMissing, match=r"pxr is not installed: run pip install 'gcd-dataset\[export\]'"):
         exports.usd(worn, tmp_path / "a.usd")
+
+
+@pytest.fixture(scope="module")
+def walked() -> Fitting:
+    """A sheet that sinks 3 cm in the third of three frames, on a body that lifts a thigh."""
+    mesh, body = patch(3, 3), build_body(named_shape("neutral"))
+    poses = [Pose({"left_thigh": (0.1 * frame, 0.0, 0.0)}) for frame in range(3)]
+    sunk = np.stack([mesh.vertices, mesh.vertices, mesh.vertices - [0.0, 3.0, 0.0]]).astype(np.float32)
+    motion = GarmentMotion(sunk, mesh.faces, tuple(poses), 25.0, np.zeros((3, 3), int))
+    drape = Drape(sunk[0], Outcome.SETTLED, 9, 0, 0, 1.0, 1.0)
+    return Fitting(Pattern("sheet", (), ()), body, (), mesh, drape, {}, 0.0, 0.0, motion=motion, home=body)
+
+
+def test_a_glb_moves_by_morph_targets(walked: Fitting, tmp_path: Path) -> None:
+    """Read by trimesh at rest, and by pygltflib in its frames: each target has full weight at its time."""
+    pygltflib = pytest.importorskip("pygltflib")
+    assert walked.motion is not None
+    exports.glb(walked, tmp_path / "a.glb")
+    [name] = walked.box_mesh.panel_names
+    scene = trimesh.load(tmp_path / "a.glb")
+    assert scene.geometry[name].vertices == pytest.approx(walked.motion.vertices[0] / 100)
+    gltf = pygltflib.GLTF2().load(tmp_path / "a.glb")
+
+    def values(number: int) -> np.ndarray:
+        accessor = gltf.accessors[number]
+        view = gltf.bufferViews[accessor.bufferView]
+        columns = 3 if accessor.type == "VEC3" else 1
+        start = view.byteOffset + (accessor.byteOffset or 0)
+        data = np.frombuffer(gltf.binary_blob(), "<f4", accessor.count * columns, start)
+        assert accessor.max == pytest.approx(data.reshape(-1, columns).max(axis=0).tolist())
+        return data.reshape(-1, columns)
+
+    [animation] = gltf.animations
+    [sampler] = animation.samplers
+    assert values(sampler.input).ravel() == pytest.approx([0.0, 0.04, 0.08])
+    weights = values(sampler.output).reshape(3, 2)
+    np.testing.assert_array_equal(weights, [[0, 0], [1, 0], [0, 1]])
+    assert {gltf.nodes[channel.target.node].name for channel in animation.channels} == {name, "body"}
+    expected = {name: walked.motion.vertices, "body": np.stack([walked.body_in(frame).vertices for frame in range(3)])}
+    for mesh in gltf.meshes:
+        [primitive] = mesh.primitives
+        at = np.stack([values(target["POSITION"]) for target in primitive.targets])
+        frames = values(primitive.attributes.POSITION) + np.tensordot(weights, at, 1)
+        normals = [values(target["NORMAL"]) + values(primitive.attributes.NORMAL) for target in primitive.targets]
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=2), 1.0, atol=1e-5)
+        rows = walked.box_mesh.uv_vertex if mesh.name == name else slice(None)
+        np.testing.assert_allclose(frames, expected[mesh.name][:, rows] / 100, atol=1e-6)
+
+
+def test_a_usd_moves_by_time_samples(walked: Fitting, tmp_path: Path) -> None:
+    assert walked.motion is not None
+    exports.usd(walked, tmp_path / "a.usdc")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    assert (stage.GetTimeCodesPerSecond(), stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (25.0, 0.0, 2.0)
+    for name, frames in (("garment", walked.motion.vertices), ("body", [walked.body_in(k).vertices for k in range(3)])):
+        mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/sheet/{name}"))
+        for time in range(3):
+            np.testing.assert_allclose(np.array(mesh.GetPointsAttr().Get(time)), frames[time], atol=1e-4)

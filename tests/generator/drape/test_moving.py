@@ -126,7 +126,7 @@ def test_a_motion_yields_a_drape_for_each_pose() -> None:
     walk = [Pose({"left_thigh": (a, 0.0, 0.0), "right_thigh": (-a, 0.0, 0.0)}) for a in steps]
     drapes = list(drape_motion(job, walk, device="cpu"))
     assert [drape.outcome for drape in drapes] == [Outcome.SETTLED] * 4
-    assert max(drape.body_crossings for drape in drapes) < 10  # of 5 cm edges, which only a garment at rest has cleared
+    assert max(drape.body_crossings + drape.body_through for drape in drapes) == 0  # of the body in its pose
     hems = [np.sort(drape.vertices[:, 2])[-10:].mean() for drape in drapes]
     assert hems[3] > hems[0] + 0.5  # the left thigh lifts the front
     assert list(drape_motion(job, [], device="cpu")) == []
