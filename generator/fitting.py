@@ -50,6 +50,7 @@ from gcd_dataset.records import (
     Measurements,
     Outcome,
     Outfit,
+    PanelRole,
     Pattern,
     Pose,
     WornGarment,
