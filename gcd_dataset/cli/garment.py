@@ -206,8 +206,8 @@ def _pose_of(options: argparse.Namespace, body: "Body") -> "Pose | None":
     """The pose of ``--pose``; prints a warning where it cuts the body. Raises ``BodyError``, ``ConfigError``."""
     if options.pose is None:
         return None
-    if options.maps or getattr(options, "outfit", False):
-        raise ConfigError("--maps and --outfit are for a body in the A-pose: leave them out with --pose")
+    if getattr(options, "outfit", False):
+        raise ConfigError("--outfit is for a body in the A-pose: leave it out with --pose")
     from gcd_dataset.generator.body.pose import named_pose, pose_body
     from gcd_dataset.generator.drape.self_contact import skin_crossings
 

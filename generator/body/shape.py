@@ -185,8 +185,16 @@ def draw_from(group: str, rng: np.random.Generator, *, legs_apart: bool = False)
 
 
 def build_body(shape: BodyShape, *, name: str = "body") -> Body:
-    """The body of a shape, lowest vertex at y = 0. Raises ``BodyError`` for a wrong number of weights."""
-    return _built(shape, name, resolve_creases=True)
+    """The body of a shape in its pose, lowest vertex at y = 0.
+
+    Raises ``BodyError`` for a wrong number of weights, and for an impossible pose.
+    """
+    body = _built(shape, name, resolve_creases=True)
+    if shape.pose is None:
+        return body
+    from gcd_dataset.generator.body.pose import pose_body  # which needs this module
+
+    return pose_body(body, shape.pose)
 
 
 def _built(shape: BodyShape, name: str, *, resolve_creases: bool) -> Body:
