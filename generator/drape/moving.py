@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.body.pose import pose_body
 from gcd_dataset.generator.device import native_builds
-from gcd_dataset.generator.drape.body_field import BodyField, closed_skin
+from gcd_dataset.generator.drape.body_field import BodyField, axes_at, axis_ends, closed_skin
 from gcd_dataset.generator.drape.kernels.moving import begin_frame
 from gcd_dataset.generator.drape.kernels.world import ClothArrays
 from gcd_dataset.records import Body, BodyPart, Pose
@@ -42,14 +42,18 @@ class Motion:
     """Positions in the A-pose, in which measures are taken [cm]."""
     trunk: Bool[np.ndarray, " w"]
     """Whether a vertex belongs to the trunk."""
+    axes: tuple[Float[np.ndarray, "2 axes 3"], ...]
+    """The axes of the body's parts at the same times as ``keys``: see ``BodyField.axes`` [cm]."""
 
     @classmethod
     def of(cls, bodies: Sequence[Body], home: Body | None = None) -> Self:
         """The motion through some bodies of one mesh; ``home``: the body in the A-pose, if it is not the first."""
         keys = tuple(closed_skin(body)[0].astype(np.float32) for body in bodies)
+        ends = axis_ends(home or bodies[0])
         trunk = bodies[0].parts == BodyPart.TRUNK.value
         at_home = keys[0] if home is None else closed_skin(home)[0].astype(np.float32)
-        return cls(bodies[-1], keys, at_home, np.pad(trunk, (0, len(keys[0]) - len(trunk))))
+        axes = tuple(axes_at(key, ends) for key in keys)
+        return cls(bodies[-1], keys, at_home, np.pad(trunk, (0, len(keys[0]) - len(trunk))), axes)
 
     @classmethod
     def to_pose(cls, body: Body, pose: Pose) -> Self:
@@ -98,19 +102,21 @@ class MovingSkin:
         """Move the mesh to the start of the next frame, with the velocity to its end; nothing once it stands still."""
         if self.frame > self.frames:
             return
-        here, there = self._at(self.frame), self._at(self.frame + 1)
+        here, there = (self._at(frame, self.motion.keys) for frame in (self.frame, self.frame + 1))
         self.mesh.points.assign(here)
         self.mesh.velocities.assign((there - here) / np.float32(self.seconds))
         self.mesh.refit()
+        cloth.axes[2 * self.world : 2 * self.world + 2].assign(self._at(self.frame, self.motion.axes))
         wp.launch(begin_frame, 1, [self.world], [cloth, state.search], device=self.mesh.device)
         self.frame += 1
 
-    def _at(self, frame: int) -> Float32[np.ndarray, "w 3"]:
+    def _at(self, frame: int, keys: Sequence[Float[np.ndarray, "*n 3"]]) -> Float32[np.ndarray, "*n 3"]:
+        """``keys``, of the motion, interpolated at the start of a frame."""
         share = min(frame / self.frames, 1.0)
         share = share * share * (3.0 - 2.0 * share) if self.gently else share
-        along = share * (len(self.motion.keys) - 1)
-        number = min(int(along), len(self.motion.keys) - 2)
-        start, end = self.motion.keys[number : number + 2]
+        along = share * (len(keys) - 1)
+        number = min(int(along), len(keys) - 2)
+        start, end = keys[number : number + 2]
         return np.asarray(start + np.float32(along - number) * (end - start), np.float32)
 
 

@@ -150,6 +150,7 @@ class Slots:
             frame, first = float(row["frame"][0]), int(row["first"][0])
             skin = MovingSkin(w, body.mesh, motion, math.ceil(motion.seconds / frame), frame)
             row["skin"] = self._meshes[w] = body.mesh.id
+            self._axes[2 * w : 2 * w + 2] = motion.axes[-1]
             row["lowest"] -= max(motion.drop, 0.0)
             row["max_frames"] = skin.frames + solver.config.max_frames if ends else ENDLESS
             model.worlds.assign(self._rows)
