@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset.generator.body.pose import STANDING, named_pose, pose_body, pose_of, side_and_kind
+from gcd_dataset.generator.body.shape import ARM_ROOM, arm_clearance
 from gcd_dataset.generator.drape.self_contact import skin_crossings
 from gcd_dataset.records import BONES, Body, Pose
 
@@ -22,23 +23,22 @@ DRAWN = {  # ranges of ``draw_pose``, uniform; of each side on its own [degrees]
 STRIDE, KNEES, STANCE = 12.0, (0.0, 12.0), (1.0, 9.0)
 """Of ``draw_pose`` [degrees]: largest bend of one thigh, the other bending as far back; bend of both knees, and spread
 of both legs. The feet turn back, so that the soles stay level."""
-SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)  # of a drawn pose, until the body does not touch itself
-DRAWS = 5
+DRAWS = 20
 
 
 def draw_pose(rng: np.random.Generator, body: Body) -> Pose:
-    """A random standing pose in which the body does not touch itself, its bones within 45° of the A-pose.
+    """A random standing pose, bones within 45° of the A-pose, in which the body does not touch itself.
 
-    Trunk and arms are drawn from ``DRAWN``, legs from ``STRIDE``, ``KNEES`` and ``STANCE``; all angles are scaled down
-    in steps of a fifth until the skin of ``body`` does not cross itself, and else drawn again. A body that touches
-    itself in each of ``DRAWS`` gets the pose named ``a-pose``, without rotations.
+    Trunk and arms are drawn from ``DRAWN``, legs from ``STRIDE``, ``KNEES`` and ``STANCE``; drawn again while the skin
+    of ``body`` crosses itself, or arm and trunk have less room for cloth between them than ``ARM_ROOM``, or than in the
+    A-pose. After ``DRAWS`` such draws the pose is the one named ``a-pose``, without rotations.
     """
+    room = min(ARM_ROOM, arm_clearance(body))
     for _ in range(DRAWS):
-        drawn = _drawn(rng)
-        for share in SHARES:
-            pose = pose_of({bone: share * np.asarray(turn) for bone, turn in drawn.items()}, STANDING)
-            if not skin_crossings(pose_body(body, pose)):
-                return pose
+        pose = pose_of(_drawn(rng), STANDING)
+        posed = pose_body(body, pose)
+        if arm_clearance(posed) >= room and not skin_crossings(posed):
+            return pose
     return named_pose("a-pose")
 
 

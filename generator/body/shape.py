@@ -80,14 +80,17 @@ ARMPIT = 3.0  # cm below the underarm point, where arm and trunk separate; Garme
 
 
 def arm_clearance(body: Body) -> float:
-    """Least distance between the convex hulls of arm and trunk in the level section below the armpits [cm]."""
+    """Least distance between the convex hulls of arm and trunk in the level section below the armpits [cm].
+
+    Infinite if both arms are raised above it.
+    """
     level = body.vertices[landmark_table().points["underarm_right"], Y] - ARMPIT
     sections = (
         section_points(body.vertices, _edges_of(part), Y, np.array([level]))[0]
         for part in (BodyPart.TRUNK, BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM)
     )
     trunk, *arms = (shapely.convex_hull(shapely.multipoints(points[:, [X, Z]])) for points in sections)
-    return float(min(shapely.distance(trunk, arm) for arm in arms))
+    return float(np.fmin.reduce([shapely.distance(trunk, arm) for arm in arms], initial=np.inf))
 
 
 @functools.cache
