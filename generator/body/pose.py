@@ -243,7 +243,9 @@ def read_poses(name_or_path: str | Path) -> tuple[Pose, ...]:
     if found is None:
         if not path.suffix:
             known = ", ".join(POSES)
-            raise BodyError(f"no pose named {shown(name)}: there are {known}, or a JSON or TOML file of rotations")
+            raise BodyError(
+                f"no pose named {shown(name)}: there are {known}, {STANDING} in data sets, or a JSON or TOML file"
+            )
         is_toml = path.suffix == ".toml"
         found = read_toml(path) if is_toml else read_json(path, "pose", error=BodyError)
         found = found.get("poses", found) if is_toml else found
