@@ -103,6 +103,32 @@ class BodyPart(Enum):
     """Eyes, eye sockets and mouth: cloth never touches them."""
 
 
+_LIMBS = ("shoulder", "upper_arm", "forearm", "hand", "thigh", "shin", "foot", "toes")
+BONES = (
+    *("pelvis", "lower_spine", "upper_spine", "neck", "head"),
+    *(f"{side}_{limb}" for side in ("left", "right") for limb in _LIMBS),
+)
+"""The names of all bones; hands have no fingers of their own, and stay relaxed."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Rotations of bones from the A-pose; bones without one stay as they are."""
+
+    turns: Mapping[str, tuple[float, float, float]]
+    """Bone, one of ``BONES``, to bend, spread and twist: a rotation vector in the axes of the bone, which turns
+    relative to its parent [rad]. Bend moves the tip of the bone forward, spread away from the middle of the body, twist
+    turns its front outwards; of the trunk, bend is forward, spread and twist are to its left."""
+    name: str = "pose"
+    cuts: int = 0
+    """Edges at which the wearer's skin cuts itself in this pose, where they were counted."""
+
+    @property
+    def array(self) -> Float[np.ndarray, "21 3"]:
+        """Bend, spread and twist of each of ``BONES`` [rad]."""
+        return np.array([self.turns.get(bone, (0.0, 0.0, 0.0)) for bone in BONES])
+
+
 @dataclass(frozen=True, eq=False)
 class BodyShape(Record):
     """Shape and pose parameters of a body."""
@@ -113,17 +139,8 @@ class BodyShape(Record):
     """Rotation of both arms from the A-pose [rad]; positive lifts the hands."""
     legs_apart: bool = False
     """Whether the feet are set apart, as trousers need; otherwise the legs are straight."""
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Rotations of bones from the A-pose; bones without one stay as they are."""
-
-    turns: Mapping[str, tuple[float, float, float]]
-    """Bone to bend, spread and twist: a rotation vector in the axes of the bone, which turns relative to its parent
-    [rad]. Bend moves the tip of the bone forward, spread away from the middle of the body, twist turns its front
-    outwards; of the trunk, bend is forward, spread and twist are to its left. Bones: ``generator.body.pose.BONES``."""
-    name: str = "pose"
+    pose: Pose | None = None
+    """The pose into which the body is turned from the one above."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,6 +53,7 @@ from gcd_dataset.records import (
     NamedFabric,
     Outcome,
     Pattern,
+    Pose,
     Provenance,
     Rejected,
     Sample,
@@ -132,11 +133,18 @@ class DressedWearer:
     """The draped garments under this one."""
     unsettled: str = ""
     """Why the garment under this one has no drape to put it on."""
+    pose: Pose | None = None
+    """The pose in which the garment is draped; ``None``: that of ``body``."""
 
     @property
     def obstacle(self) -> FitLabel | None:
         """Why the garment cannot be put on, and is not draped; ``None`` if it can."""
         return self.fit.obstacle if self.fit else None
+
+    @property
+    def worn_shape(self) -> BodyShape:
+        """The body in the pose of the drape."""
+        return replace(self.shape, pose=self.pose)
 
     @property
     def is_draped(self) -> bool:
@@ -350,6 +358,8 @@ def _dress(
     from gcd_dataset.generator.dressing.sewing_start import sewing_start
     from gcd_dataset.generator.dressing.worn import WornCloth
 
+    if config.poses:
+        dressed = replace(dressed, pose=_drawn_pose(rng(seed, wearer.index, Stage.POSE), body, config))
     drapes = [(inner.design.dressed[row].box_mesh, inner.replies[row].drape) for inner in under]
     if failed := [drape for _, drape in drapes if drape.outcome is not Outcome.SETTLED]:
         return replace(dressed, unsettled=f"a garment under it is {failed[0].outcome.name}")
@@ -359,6 +369,14 @@ def _dress(
     coarse = coarse_start(mesh)
     start = sewing_start(coarse.mesh if coarse else mesh, body, cloths)
     return replace(dressed, coarse=coarse, start=start, under=cloths)
+
+
+def _drawn_pose(stream: np.random.Generator, body: Body, config: MakeConfig) -> Pose:
+    """The pose of a sample, the same in all attempts."""
+    from gcd_dataset.generator.standing import counted, draw_pose
+
+    given = config.given_poses
+    return counted(given[stream.integers(len(given))], body) if given else draw_pose(stream, body)
 
 
 def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", ...]:
@@ -378,6 +396,7 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
             # The next garment is not drawn yet; every bottom that is drawn ends at the waist.
             wearer.size.waist_level if design.worn.tucked else -math.inf,
             wearer.under,
+            wearer.pose,
             under_sleeves=any(over.may_have_sleeves for over in design.outfit[len(design.under) + 1 :]),
         )
         for wearer in design.dressed
@@ -417,7 +436,7 @@ def view_requests(design: DressedDesign, config: MakeConfig) -> tuple[ViewReques
             config.views,
             config.view_size,
             config.fabric,
-            stored_body(wearer.shape),
+            stored_body(wearer.worn_shape),
         )
         for wearer in design.dressed
         if not wearer.obstacle and not wearer.unsettled
@@ -477,7 +496,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
     if config.maps and drape is not None:
         maps = all_worn[0].replies[row].maps or Maps.unknown(len(drape.vertices))
     if config.ease and mesh is not None:
-        worn = None if drape is None or dressed.obstacle else drape.vertices
+        worn = None if drape is None or dressed.obstacle or dressed.pose else drape.vertices
         ease = ease_of(dressed.pattern, mesh, dressed.body, dressed.size, worn)
     front, back = (None, None) if reply is None or reply.pictures is None else map(jpeg_bytes, reply.pictures)
     rejects = tuple(reject for one in all_worn for reject in one.design.rejects)
@@ -501,7 +520,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         pattern=dressed.pattern,
         measurements=dressed.size,
         design=first.design,
-        shape=dressed.shape,
+        shape=dressed.worn_shape,
         box_mesh=mesh,
         drape=drape,
         maps=maps,

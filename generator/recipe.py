@@ -14,7 +14,7 @@ from gcd_dataset.generator.body.sizes import CHARTS, SizeChart, read_chart
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.outfits import OUTFITS, Outfits, WornDesign, read_outfits
 from gcd_dataset.options import Option
-from gcd_dataset.records import Measurements
+from gcd_dataset.records import Measurements, Pose
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import Layout, garments_layout, recipe_hash
 
@@ -32,7 +32,7 @@ USUAL_FABRIC = "default"
 NO_MISFIT = "0:0"
 STEPS = re.compile(r"([+-]?\d{1,3}):([+-]?\d{1,3})")
 LATER = {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0, "captions": False, "views": 0}
-LATER |= {"ease": False, "maps": False, "sizes": "", "misfit": NO_MISFIT, "outfits": ""}
+LATER |= {"ease": False, "maps": False, "sizes": "", "misfit": NO_MISFIT, "outfits": "", "poses": ""}
 """Options that a recipe omits at these values, so that the hash of recipes older than they are stays the same."""
 FINEST, COARSEST = 0.2, 10.0  # cm
 LIMITS = {
@@ -143,10 +143,20 @@ class MakeConfig:
             "design, sizes and misfit are for single garments; empty: a sample is one garment"
         ),
     ] = ""
+    poses: Annotated[
+        str,
+        Option(
+            "pose in which each garment is draped, drawn by seed and number; standing: another for each sample, bones "
+            "within 45 degrees of the A-pose; t-pose, … or a JSON or TOML file of poses: one of them; measures and "
+            "pattern are made for the A-pose; for single garments; empty: the A-pose"
+        ),
+    ] = ""
     chart: SizeChart | None = field(default=None, init=False, repr=False, compare=False)
     """The chart ``sizes``, as read."""
     wardrobe: Outfits | None = field(default=None, init=False, repr=False, compare=False)
     """The file ``outfits``, as read."""
+    given_poses: tuple[Pose, ...] = field(default=(), init=False, repr=False, compare=False)
+    """The poses of the file ``poses``; none where they are drawn."""
 
     def __post_init__(self) -> None:
         for entry in (entry for entry in fields(self) if entry.init):
@@ -182,12 +192,23 @@ class MakeConfig:
                     f"{given} is for single garments: leave it out with outfits, which name their designs"
                 )
             object.__setattr__(self, "wardrobe", read_outfits(self.outfits))
+        if self.poses:
+            object.__setattr__(self, "given_poses", self._read_poses())
         if self.views and self.stage != "drape":
             raise ConfigError(f"views is {self.views}, but stage {self.stage} drapes nothing: give stage drape, or 0")
         if self.maps and self.stage != "drape":
             raise ConfigError(f"maps are of a drape, and stage {self.stage} drapes nothing: give stage drape")
         if self.ease and self.stage == "pattern":
             raise ConfigError("ease is measured on the mesh, and stage pattern makes none: give stage mesh or drape")
+
+    def _read_poses(self) -> tuple[Pose, ...]:
+        from gcd_dataset.generator.body.pose import STANDING, read_poses
+
+        if self.stage != "drape":
+            raise ConfigError(f"poses are of a drape, and stage {self.stage} drapes nothing: give stage drape")
+        if self.outfits:
+            raise ConfigError("poses are for single garments: leave poses out with outfits, whose wearers cannot move")
+        return () if self.poses == STANDING else read_poses(self.poses)
 
     @property
     def wearers(self) -> int:
@@ -233,6 +254,7 @@ class MakeOptions(TypedDict, total=False):
     sizes: str
     misfit: str
     outfits: str
+    poses: str
 
 
 def check_resolution(centimetres: float) -> float:
@@ -254,6 +276,8 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
         recipe["sizes"] = recipe_hash(content)
     if config.wardrobe and config.outfits not in OUTFITS:
         recipe["outfits"] = recipe_hash(dict(config.wardrobe.content))
+    if config.given_poses:
+        recipe["poses"] = recipe_hash({pose.name: {**pose.turns} for pose in config.given_poses})
     for name, usual in LATER.items():
         if recipe[name] == usual:
             del recipe[name]
@@ -265,7 +289,12 @@ def layout_of_samples(config: MakeConfig) -> Layout:
     """The members of a sample of this config."""
     sides = config.stage == "drape" and config.picture > 0
     return garments_layout(
-        caption=config.captions, maps=config.maps, views=config.views, sides=sides, garments=config.most_garments
+        caption=config.captions,
+        maps=config.maps,
+        pose=bool(config.poses),
+        views=config.views,
+        sides=sides,
+        garments=config.most_garments,
     )
 
 

@@ -1,14 +1,15 @@
 """Random standing poses in which a body does not touch itself."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from gcd_dataset.generator.body.pose import BONES, pose_body, pose_of, side_and_kind
+from gcd_dataset.generator.body.pose import STANDING, named_pose, pose_body, pose_of, side_and_kind
+from gcd_dataset.generator.body.shape import ARM_ROOM, arm_clearance
 from gcd_dataset.generator.drape.self_contact import skin_crossings
-from gcd_dataset.records import Body, Pose
+from gcd_dataset.records import BONES, Body, Pose
 
-STANDING = "standing"
 DRAWN = {  # ranges of ``draw_pose``, uniform; of each side on its own [degrees]
     "lower_spine": ((-4, 8), (-5, 5), (-8, 8)),
     "upper_spine": ((-4, 8), (-5, 5), (-8, 8)),
@@ -22,23 +23,36 @@ DRAWN = {  # ranges of ``draw_pose``, uniform; of each side on its own [degrees]
 STRIDE, KNEES, STANCE = 12.0, (0.0, 12.0), (1.0, 9.0)
 """Of ``draw_pose`` [degrees]: largest bend of one thigh, the other bending as far back; bend of both knees, and spread
 of both legs. The feet turn back, so that the soles stay level."""
-SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)  # of a drawn pose, until the body does not touch itself
+DRAWS = 20
 
 
 def draw_pose(rng: np.random.Generator, body: Body) -> Pose:
-    """A random standing pose in which the body does not touch itself, its bones within 45° of the A-pose.
+    """A random standing pose, bones within 45° of the A-pose, in which the body does not touch itself.
 
-    Trunk and arms are drawn from ``DRAWN``, legs from ``STRIDE``, ``KNEES`` and ``STANCE``; all angles are scaled down
-    in steps of a fifth until the skin of ``body`` does not cross itself.
+    Trunk and arms are drawn from ``DRAWN``, legs from ``STRIDE``, ``KNEES`` and ``STANCE``; drawn again while the skin
+    of ``body`` crosses itself, or arm and trunk have less room for cloth between them than ``ARM_ROOM``, or than in the
+    A-pose. After ``DRAWS`` such draws the pose is the one named ``a-pose``, without rotations.
     """
+    room = min(ARM_ROOM, arm_clearance(body))
+    for _ in range(DRAWS):
+        pose = pose_of(_drawn(rng), STANDING)
+        posed = pose_body(body, pose)
+        if arm_clearance(posed) >= room and not skin_crossings(posed):
+            return pose
+    return named_pose("a-pose")
+
+
+def _drawn(rng: np.random.Generator) -> dict[str, Any]:
+    """Bend, spread and twist of each bone [degrees]."""
     ranges = {bone: DRAWN[kind] for bone in BONES if (kind := side_and_kind(bone)[1]) in DRAWN}
     drawn: dict[str, Any] = {bone: rng.uniform(*zip(*each, strict=True)) for bone, each in ranges.items()}
     stride, knees, stance = rng.uniform(-STRIDE, STRIDE), rng.uniform(*KNEES), rng.uniform(*STANCE)
     for side, ahead in (("left_", stride), ("right_", -stride)):
         drawn |= {f"{side}thigh": (ahead + knees, stance, 0.0), f"{side}shin": (-2 * knees, 0.0, 0.0)}
         drawn |= {f"{side}foot": (knees - ahead, -stance, 0.0)}
-    for share in SHARES:
-        pose = pose_of({bone: share * np.asarray(turn) for bone, turn in drawn.items()}, STANDING)
-        if not skin_crossings(pose_body(body, pose)):
-            return pose
-    return Pose({}, STANDING)
+    return drawn
+
+
+def counted(pose: Pose, body: Body) -> Pose:
+    """The pose with the number of edges at which ``body`` cuts itself in it."""
+    return replace(pose, cuts=skin_crossings(pose_body(body, pose)))

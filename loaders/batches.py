@@ -113,6 +113,7 @@ class _Batch(dict[str, Any]):
     design: list[dict[str, Any]] = _entry()
     measures: list[dict[str, float]] = _entry()
     body: Float[Tensor, "b k"] = _entry()
+    pose: Float[Tensor, "b 21 3"] = _entry()
     points: Float[Tensor, "b n 6"] = _entry()
     front: UInt8[Tensor, "b 3 h w"] = _entry()
     back: UInt8[Tensor, "b 3 h w"] = _entry()

@@ -42,6 +42,8 @@ class GarmentFields(TypedDict, total=False):
     """Lines inside the panels [cm]; columns of ``LineColumn``."""
     body: Float[Tensor, " k"]
     """Weights of the wearer's shape components [standard deviations]."""
+    pose: Float[Tensor, "21 3"]
+    """Bend, spread and twist of each of ``gcd_dataset.records.BONES`` [rad]; in recipes with ``poses``."""
     faces: Int[Tensor, "f 3"]
     """Triangles: rows of ``verts`` and ``box``."""
     uv: Float[Tensor, "c 2"]

@@ -116,7 +116,11 @@ class GeneratedGarments(Garments):
         self._layout = layout_of_samples(self.config)
         config = self.config
         full = garments_layout(
-            caption=config.captions, maps=config.maps, views=config.views, garments=config.most_garments
+            caption=config.captions,
+            maps=config.maps,
+            pose=bool(config.poses),
+            views=config.views,
+            garments=config.most_garments,
         )
         available, absent = fields_of(full.members), absent_at_stage(self.config.stage, empty)
         super().__init__(fields, transform, available=available, absent=absent, dtype=dtype)

@@ -1,6 +1,7 @@
 """``Scan`` and ``Sketch``, and what they share with ``Views``: the geometry of a loaded garment and its wearer."""
 
 import contextlib
+import json
 import math
 import os
 from abc import ABC, abstractmethod
@@ -34,6 +35,7 @@ from gcd_dataset.records import Body, BodyShape, BoxMesh, Outcome, Panel, Patter
 from gcd_dataset.seeding import Stage
 from gcd_dataset.seeding import rng as seeded_rng
 from gcd_dataset.shards.layout import split_worn, worn_name
+from gcd_dataset.shards.meta import json_text, shape_of
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.render.scans import DepthNoise, PointScan, ScanRanges
@@ -226,7 +228,7 @@ def wearer_of(garment: StoredGarment, body_of: BodyOf | None) -> Body:
         if meta["pose"] is not None:
             weights = garment.shape if garment.shape is not None else _drawn_weights(meta)
             if weights is not None and (body_of is None or _fits_model(weights)):
-                return _built(weights.tobytes(), meta["pose"]["arm_angle"], meta["pose"]["legs_apart"])
+                return _built(weights.tobytes(), json_text(meta["pose"]))
         if body_of is not None:
             return body_of(name)
     except (BodyError, KeyError) as error:
@@ -274,10 +276,11 @@ def _drawn_weights(meta: Mapping[str, Any]) -> np.ndarray | None:
 
 
 @lru_cache(maxsize=64)
-def _built(weights: bytes, arm_angle: float, legs_apart: bool) -> Body:
+def _built(weights: bytes, pose: str) -> Body:
+    """``pose``: ``meta["pose"]`` as JSON."""
     from gcd_dataset.generator.views import stored_body
 
-    return stored_body(BodyShape(np.frombuffer(weights), arm_angle, legs_apart))
+    return stored_body(shape_of(np.frombuffer(weights), json.loads(pose)))
 
 
 class _PeopleByName:

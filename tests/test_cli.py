@@ -274,12 +274,14 @@ def test_drape_moves_the_body_to_a_pose(tmp_path: Path, capsys: pytest.CaptureFi
     write_pattern(draw_garment(named_body("neutral")[1], design), spec)
     bent.write_text('{"upper_arm": [0, -48, 0], "left_thigh": [20, 5, 0]}')
     options = ["drape", str(spec), "--out", str(out), "--resolution", "8", "--device", "cpu", "--quiet"]
-    for wrong, told in ((["lotus"], "no pose named lotus"), ([str(bent), "--maps"], "--maps and --outfit")):
+    for wrong, told in ((["lotus"], "no pose named lotus"), ([str(bent), "--outfit"], "--outfit")):
         assert main([*options, "--pose", *wrong]) != 0
         assert told in one_line(capsys.readouterr().err)
         assert not out.exists()
-    assert main([*options, "--pose", str(bent), "--allow-unsettled"]) == 0
+    assert main([*options, "--pose", str(bent), "--maps", "--allow-unsettled"]) == 0
     assert "in this pose the body cuts itself" in capsys.readouterr().err
+    [maps] = out.glob("*_maps.npz")
+    assert np.load(maps)["gap"].max() < 60.0
     report = json.loads((out / "report.json").read_text())
     assert report["pose"]["left_thigh"] == [20.0, 5.0, 0.0]
     assert report["garments"][0]["frames"] > 10

@@ -228,7 +228,8 @@ def _pose_of(options: argparse.Namespace, body: "Body") -> "Pose | None":
     """The pose of ``--pose``; prints a warning where it cuts the body. Raises ``BodyError``, ``ConfigError``."""
     if options.pose is None:
         return None
-    _require_a_pose(options, "--pose")
+    if getattr(options, "outfit", False):
+        raise ConfigError("--outfit is for a body in the A-pose: leave it out with --pose")
     from gcd_dataset.generator.body.pose import named_pose, pose_body
     from gcd_dataset.generator.drape.self_contact import skin_crossings
 
@@ -244,7 +245,8 @@ def _motion_of(options: argparse.Namespace, body: "Body") -> "list[Pose] | None"
         if options.fps is not None:
             raise ConfigError("--fps is the rate of a motion: give --motion")
         return None
-    _require_a_pose(options, "--motion")
+    if options.maps or getattr(options, "outfit", False):
+        raise ConfigError("--maps and --outfit are for a body at rest, --outfit in the A-pose: leave out --motion")
     if options.pose is not None:
         raise ConfigError("--motion begins in a pose of its own: leave --pose out")
     from gcd_dataset.generator.body import named_motion, pose_body
@@ -255,12 +257,6 @@ def _motion_of(options: argparse.Namespace, body: "Body") -> "list[Pose] | None"
         told = f"the body cuts itself in {cut} of {len(poses)} frames"
         print(f"gcd {options.verb}: {options.motion}: {told}", file=sys.stderr)
     return poses
-
-
-def _require_a_pose(options: argparse.Namespace, option: str) -> None:
-    """Raise ``ConfigError`` for options that move no body."""
-    if options.maps or getattr(options, "outfit", False):
-        raise ConfigError(f"--maps and --outfit are for a body in the A-pose: leave them out with {option}")
 
 
 def _require_outfit(options: argparse.Namespace) -> None:

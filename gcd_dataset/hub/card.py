@@ -44,6 +44,7 @@ FIELD_DESCRIPTIONS: Mapping[str, str] = {
     "stretch": "largest and smallest principal stretch at each vertex",
     "gap": "signed distance of each vertex from the skin [cm]",
     "pressure": "pressure of each vertex on the skin [kPa]",
+    "pose": "bend, spread and twist of each bone off the A-pose [rad]",
     "front": "picture from the front",
     "back": "picture from behind",
 }

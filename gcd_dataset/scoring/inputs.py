@@ -32,11 +32,11 @@ from gcd_dataset.making.progress import Progress, ProgressCallback
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics.answers import PANEL_CLASSES, panel_class, true_labels
 from gcd_dataset.patternhash import PatternHash, hash_pattern
-from gcd_dataset.records import BodyShape
 from gcd_dataset.scoring.bodies import read_weights
 from gcd_dataset.scoring.joining import joined
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import key_of
+from gcd_dataset.shards.meta import shape_of
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
 from gcd_dataset.tensors import EDGE_LABELS, encode_pattern
 
@@ -173,9 +173,7 @@ def _box_mesh(item: "Item", stem: Path) -> None:
     """The mesh before the drape, the wearer, and the pattern."""
     from gcd_dataset.generator.views import stored_body
 
-    pose = item["meta"]["pose"]
-    shape = BodyShape(item["body"].numpy().astype(float), pose["arm_angle"], legs_apart=pose["legs_apart"])
-    body = stored_body(shape)
+    body = stored_body(shape_of(item["body"].numpy().astype(float), item["meta"]["pose"]))
     arrays = {name: item[name].numpy() for name in MESH} | {"vertices": item["box"].numpy().astype(np.float32)}
     arrays |= {"body_vertices": body.vertices.astype(np.float32), "body_faces": body.faces.astype(np.int32)}
     _save_arrays(stem, arrays)

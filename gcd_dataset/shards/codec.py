@@ -30,7 +30,6 @@ from gcd_dataset.records import (
     NO_MESH,
     POSITION_STEP,
     UV_STEP,
-    BodyShape,
     BoxMesh,
     Drape,
     Ease,
@@ -62,6 +61,7 @@ from gcd_dataset.shards.layout import (
     MOST_GARMENTS,
     MOST_PIXELS,
     MOST_VIEWS,
+    POSE,
     SCHEMA,
     Bytes,
     fields_of,
@@ -90,10 +90,12 @@ from gcd_dataset.shards.meta import (
     fit_entry,
     json_bytes,
     json_text,
+    pose_entry,
     read_meta,
     read_rejects,
     reject_entry,
     sealed,
+    shape_of,
 )
 from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
@@ -120,7 +122,7 @@ DOUBLE = frozenset(of_each_garment(dict.fromkeys(["panels", "edges", "closures",
 _WIDTHS: Mapping[str, tuple[int, ...]] = {
     **{field: (len(columns),) for field, columns in COLUMNS.items()}, "body": (),
     "faces": (3,), "uv": (2,), "panel_id": (), "labels": (2,), "seams": (2,), "corners": (3,), "uv_vertex": (),
-    "box": (3,), "verts": (3,), "points": (6,), "stretch": (2,), "gap": (), "pressure": (),
+    "box": (3,), "verts": (3,), "points": (6,), "stretch": (2,), "gap": (), "pressure": (), "pose": (3,),
 }  # fmt: skip
 WIDTHS = of_each_garment(_WIDTHS)
 """Field to the shape of one row of its array."""
@@ -232,6 +234,8 @@ def _content(sample: Sample, garments: Sequence[WornGarment], tensors: Sequence[
     maps = {} if sample.maps is None else {name: _half(array) for name, array in sample.maps.by_vertex.items()}
     _require_rows(maps, () if sample.drape is None else sample.drape.vertices)
     surface = {"points.z": _points(sample.points), **({MAPS: pack(maps)} if maps else {})}
+    if sample.shape is not None and sample.shape.pose:
+        surface[POSE] = pack({"pose": sample.shape.pose.array.astype(np.float32)})
     return {**texts[0], **own, **_further(texts), **arrays[0], **surface, **_further(arrays), **pictures, **views}
 
 
@@ -372,9 +376,7 @@ def _meta(sample: Sample, garments: Sequence[WornGarment], tensors: Sequence[Pat
         "pattern": own["pattern"],
         "body": provenance.body_name,
         "holds": {"shape": shape is not None, **own["holds"]},
-        "pose": NO_POSE
-        if shape is None
-        else {"arm_angle": float(shape.arm_angle), "legs_apart": bool(shape.legs_apart)},
+        "pose": NO_POSE if shape is None else pose_entry(shape),
         **{name: own[name] for name in LABELS},
         "drape": own["drape"],
         "strain": own["strain"],
@@ -506,7 +508,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             pattern=first.pattern,
             measurements=Measurements.from_file_values(field["measures"]),
             design=first.design,
-            shape=None if meta["pose"] is None else BodyShape(field["body"].astype(float), **meta["pose"]),
+            shape=None if meta["pose"] is None else shape_of(field["body"].astype(float), meta["pose"]),
             box_mesh=first.box_mesh,
             drape=first.drape,
             maps=Maps(**{f: field[f].astype(float) for f in ARRAYS[MAPS]}, softened=meta["softened"])

@@ -24,7 +24,10 @@ garments              JSON type  holds                                          
 ``pattern``           text       name of the pattern
 ``body``              text       name of the body
 ``holds``             object     ``shape``, ``mesh``, ``drape`` (bools): whether it has one
-``pose``              object     ``arm_angle`` [rad], float; ``legs_apart``, bool                 0.0, false
+``pose``              object     ``arm_angle`` [rad], float; ``legs_apart``, bool; only of        0.0, false
+                                 recipes with ``poses``: ``name`` (text), ``cuts`` (int), edges
+                                 at which the body cuts itself, ``bones``, for each of
+                                 ``records.BONES`` bend, spread and twist, floats [rad]
 ``panel_names``       texts      rows of ``panels``
 ``panel_labels``      texts      labels that its column ``LABEL`` refers to
 ``edge_labels``       texts      labels that the column of ``edges`` refers to
@@ -72,9 +75,12 @@ import zlib
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from gcd_dataset.errors import ShardError
 from gcd_dataset.jsonfile import found, loads
-from gcd_dataset.records import EASE, Fit, FitLabel, Rejected
+from gcd_dataset.records import BONES, EASE, BodyShape, Fit, FitLabel, Pose, Rejected
 from gcd_dataset.shards.layout import LARGEST_JSON, META, SCHEMA, Bytes, key_of
 
 
@@ -131,6 +137,23 @@ def fit_entry(fit: Fit) -> dict[str, Any]:
     """The fit as the entry ``fit``; ``figures`` are rounded to four decimals."""
     named = {name: getattr(fit, name) for name in ("chart", "cut_for", "wearer_size", "step")}
     return {**named, "labels": list(map(_broken_rule, fit.labels)) or [NO_LABEL]}
+
+
+def pose_entry(shape: BodyShape) -> dict[str, Any]:
+    """The pose of a body as the entry ``pose``."""
+    entry = {"arm_angle": float(shape.arm_angle), "legs_apart": bool(shape.legs_apart)}
+    if (pose := shape.pose) is None:
+        return entry
+    return {**entry, "name": pose.name, "cuts": pose.cuts, "bones": dict(zip(BONES, pose.array.tolist(), strict=True))}
+
+
+def shape_of(weights: Float[np.ndarray, " k"], entry: Mapping[str, Any]) -> BodyShape:
+    """The body of shape weights and an entry ``pose``: the inverse of ``pose_entry``."""
+    pose = None
+    if "bones" in entry:
+        turns = {bone: tuple(turn) for bone, turn in entry["bones"].items() if any(turn)}
+        pose = Pose(turns, entry["name"], entry["cuts"])
+    return BodyShape(weights, entry["arm_angle"], entry["legs_apart"], pose)
 
 
 def _broken_rule(broken: Rejected | FitLabel) -> dict[str, Any]:
@@ -324,6 +347,13 @@ _WORN: Mapping[str, Any] = {
     "strain": {"principal": _PAIR, "panels": [_PAIR]},
     "fabric": {"name": str, "parameters": str},
 }
+_STANDS: Mapping[str, Any] = {"arm_angle": _is_number, "legs_apart": bool}
+_POSED: Mapping[str, Any] = {
+    **_STANDS,
+    "name": str,
+    "cuts": is_count,
+    "bones": dict.fromkeys(BONES, (*_PAIR, _is_number)),
+}
 GARMENT: Mapping[str, Any] = {
     **_ORIGIN,
     "attempts": is_count,
@@ -332,7 +362,7 @@ GARMENT: Mapping[str, Any] = {
     "body": str,
     **_WORN,
     "holds": {"shape": bool, "mesh": bool, "drape": bool},
-    "pose": {"arm_angle": _is_number, "legs_apart": bool},
+    "pose": lambda pose: _has_form(pose, _POSED if isinstance(pose, dict) and "bones" in pose else _STANDS),
     "grade": str,
     "gathers": [_is_number],
     "tags": [str],

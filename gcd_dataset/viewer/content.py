@@ -224,6 +224,8 @@ def _recipe_rows(sample: Sample) -> Iterator[tuple[str, str]]:
     yield "seed", str(made.seed)
     yield "index", str(made.index)
     yield "body", made.body_name or "unknown"
+    if sample.shape and sample.shape.pose:
+        yield "pose", sample.shape.pose.name
     if made.source:
         yield "source", made.source
     yield "attempts", str(made.attempts)

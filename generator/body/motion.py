@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from gcd_dataset.errors import BodyError, ConfigError, shown
 from gcd_dataset.files import read_whole
 from gcd_dataset.generator.body.pose import (
-    BONES,
     LIMBS,
     LIMITS,
     ROUNDING,
@@ -24,7 +23,7 @@ from gcd_dataset.generator.body.pose import (
     rig,
     side_and_kind,
 )
-from gcd_dataset.records import Pose
+from gcd_dataset.records import BONES, Pose
 
 log = logging.getLogger(__name__)
 

@@ -21,8 +21,8 @@ from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.generator.body.asset import body_model, checked_data, refinement, stored_half
 from gcd_dataset.generator.body.repair import ROUNDS, skin_normals
 from gcd_dataset.generator.body.shape import body_skin, stand
-from gcd_dataset.jsonfile import read_json
-from gcd_dataset.records import Body, Pose, Record
+from gcd_dataset.jsonfile import read_json, read_toml
+from gcd_dataset.records import BONES, Body, Pose, Record
 
 TREE = {  # bone: its parent, and the bone to whose joint it points, or where it points
     "pelvis": ("", "up"),
@@ -41,8 +41,6 @@ TREE = {  # bone: its parent, and the bone to whose joint it points, or where it
 }
 TRUNK = tuple(TREE)[:5]
 LIMBS = tuple(TREE)[5:]
-BONES = (*TRUNK, *(f"left_{bone}" for bone in LIMBS), *(f"right_{bone}" for bone in LIMBS))
-"""The names of all bones; hands have no fingers of their own, and stay relaxed."""
 
 LIMITS = {  # least and largest bend, spread and twist off the A-pose, in which the arms are 45° off the body [degrees]
     "pelvis": ((-180, 180), (-180, 180), (-180, 180)),
@@ -73,6 +71,8 @@ POSES = {  # bend, spread and twist [degrees] of both sides; of the left, then o
         "right_upper_arm": (20, -12, 0), "forearm": (15, 0, 0),
     },
 }  # fmt: skip
+STANDING = "standing"
+"""Drawn standing poses, see ``generator.standing.draw_pose``."""
 ANGLES = ("bend", "spread", "twist")
 BODIES = "a name such as neutral or female:7"
 ROUNDING = 1e-6  # degrees beyond a limit, by conversion from radians
@@ -235,22 +235,43 @@ def require_possible(pose: Pose, body: Body | None = None) -> None:
 
 
 def named_pose(name_or_path: str | Path) -> Pose:
-    """The pose of a name of ``POSES``, or that of a JSON file: bones, each with bend, spread and twist [degrees].
+    """The pose of a name of ``POSES``, or of a file that holds one. Raises as ``read_poses`` does."""
+    poses = read_poses(name_or_path)
+    if len(poses) > 1:
+        raise BodyError(f"{shown(str(name_or_path))}: holds {len(poses)} poses: give a file of one")
+    return poses[0]
 
-    Raises ``BodyError`` for an unknown name, and for a file that is no possible pose; ``SpecError`` for one that is no
-    JSON.
+
+def read_poses(name_or_path: str | Path) -> tuple[Pose, ...]:
+    """The poses of a JSON or TOML file, or the one of a name of ``POSES``.
+
+    A pose is an object of bones, each with bend, spread and twist [degrees]; several are a list, in TOML tables
+    ``[[poses]]``. Raises ``BodyError`` for an unknown name and an impossible pose, ``ConfigError`` for broken TOML.
     """
-    name = str(name_or_path)
-    degrees = POSES.get(name)
-    if degrees is None:
-        if not Path(name).suffix:
-            raise BodyError(f"no pose named {shown(name)}: there are {', '.join(POSES)}, or a JSON file of rotations")
-        degrees = read_json(Path(name), "pose", error=BodyError)
-    if not isinstance(degrees, dict):
-        raise BodyError(f'{shown(name)}: not an object of bones: give them as {{"left_forearm": [30, 0, 0]}}')
-    pose = pose_of(degrees, name)
-    require_possible(pose)
-    return pose
+    name, path = str(name_or_path), Path(name_or_path)
+    found: Any = POSES.get(name)
+    if found is None:
+        if not path.suffix:
+            known = ", ".join(POSES)
+            raise BodyError(
+                f"no pose named {shown(name)}: there are {known}, {STANDING} in data sets, or a JSON or TOML file"
+            )
+        is_toml = path.suffix == ".toml"
+        found = read_toml(path) if is_toml else read_json(path, "pose", error=BodyError)
+        found = found.get("poses", found) if is_toml else found
+    listed, poses = found if isinstance(found, list) else [found], list[Pose]()
+    if not listed:
+        raise BodyError(f"{shown(name)}: an empty list: give one pose or more")
+    for number, degrees in enumerate(listed, 1):
+        which = f":{number}" if len(listed) > 1 else ""
+        if not isinstance(degrees, dict):
+            raise BodyError(
+                f'{shown(name + which)}: not an object of bones: give them as {{"left_forearm": [30, 0, 0]}}'
+            )
+        pose = pose_of(degrees, name + which)
+        require_possible(pose)
+        poses.append(replace(pose, name=path.stem + which))  # wherever the file lies
+    return tuple(poses)
 
 
 def pose_of(degrees: Mapping[str, Any], name: str) -> Pose:

@@ -80,14 +80,17 @@ ARMPIT = 3.0  # cm below the underarm point, where arm and trunk separate; Garme
 
 
 def arm_clearance(body: Body) -> float:
-    """Least distance between the convex hulls of arm and trunk in the level section below the armpits [cm]."""
+    """Least distance between the convex hulls of arm and trunk in the level section below the armpits [cm].
+
+    Infinite if both arms are raised above it.
+    """
     level = body.vertices[landmark_table().points["underarm_right"], Y] - ARMPIT
     sections = (
         section_points(body.vertices, _edges_of(part), Y, np.array([level]))[0]
         for part in (BodyPart.TRUNK, BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM)
     )
     trunk, *arms = (shapely.convex_hull(shapely.multipoints(points[:, [X, Z]])) for points in sections)
-    return float(min(shapely.distance(trunk, arm) for arm in arms))
+    return float(np.fmin.reduce([shapely.distance(trunk, arm) for arm in arms], initial=np.inf))
 
 
 @functools.cache
@@ -185,8 +188,16 @@ def draw_from(group: str, rng: np.random.Generator, *, legs_apart: bool = False)
 
 
 def build_body(shape: BodyShape, *, name: str = "body") -> Body:
-    """The body of a shape, lowest vertex at y = 0. Raises ``BodyError`` for a wrong number of weights."""
-    return _built(shape, name, resolve_creases=True)
+    """The body of a shape in its pose, lowest vertex at y = 0.
+
+    Raises ``BodyError`` for a wrong number of weights, and for an impossible pose.
+    """
+    body = _built(shape, name, resolve_creases=True)
+    if shape.pose is None:
+        return body
+    from gcd_dataset.generator.body.pose import pose_body  # which needs this module
+
+    return pose_body(body, shape.pose)
 
 
 def _built(shape: BodyShape, name: str, *, resolve_creases: bool) -> Body:

@@ -141,7 +141,7 @@ class HostField:
             parts=_with_forearms(points, known) | known.lids,
             low=low,
             shape=tuple(int(n) for n in size),
-            axes=_axes(points, known),
+            axes=axes_at(points, axis_ends(body)),
             hulls=tuple(HostHull.of(vertices, low, size) for vertices in _extremities(points, known)),
         )
 
@@ -361,15 +361,22 @@ def _hulls(host: HostField, voxels: Voxels, device: str) -> Iterator[Hull]:
         yield hull
 
 
-def _axes(points: Float[np.ndarray, "w 3"], known: SkinTopology) -> Float[np.ndarray, "2 axes 3"]:
-    """Each axis from the centroid of the highest tenth of the sampled vertices to that of the lowest tenth [cm]."""
-    axes = np.zeros((2, len(AXES), 3))
-    for number, corners in enumerate(known.axis_vertices):
-        own = points[corners]
-        own = own[np.argsort(-own[:, 1], kind="stable")]
-        tenth = max(len(own) // 10, 1)
-        axes[:, number] = own[:tenth].mean(axis=0), own[-tenth:].mean(axis=0)
-    return axes
+def axis_ends(body: Body) -> list[tuple[Int[np.ndarray, " u"], Int[np.ndarray, " l"]]]:
+    """For each of ``AXES`` the highest tenth of the sampled vertices of ``closed_skin``, and the lowest tenth."""
+    known = closed_skin(body)
+    heights, ends = known.skin.points(body.vertices)[:, 1], []
+    for corners in known.axis_vertices:
+        sorted_down = corners[np.argsort(-heights[corners], kind="stable")]
+        tenth = max(len(corners) // 10, 1)
+        ends.append((sorted_down[:tenth], sorted_down[-tenth:]))
+    return ends
+
+
+def axes_at(
+    points: Float[np.ndarray, "w 3"], ends: Sequence[tuple[Int[np.ndarray, " u"], Int[np.ndarray, " l"]]]
+) -> Float[np.ndarray, "2 axes 3"]:
+    """Upper and lower end of each of ``AXES``, the centroids of ``ends`` [cm]."""
+    return np.array([[points[side].mean(axis=0) for side in sides] for sides in zip(*ends, strict=True)])
 
 
 def _with_forearms(points: Float[np.ndarray, "w 3"], known: SkinTopology) -> UInt8[np.ndarray, " g"]:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.errors import BodyError, ConfigError, DrapeError
-from gcd_dataset.generator.body.pose import require_possible
+from gcd_dataset.generator.body.pose import pose_body, require_possible
 from gcd_dataset.generator.drape.fabrics import STIFFEST, Fabric
 from gcd_dataset.generator.dressing.worn import WornCloth
 from gcd_dataset.generator.mesh import CoarseMesh
@@ -145,6 +145,11 @@ class DrapeJob:
                 f"DrapeJob: {len(self.start)} start positions for the {len(mesh.vertices)} vertices of {which}: give "
                 "sewing_start of that mesh, or None"
             )
+
+    @property
+    def posed_body(self) -> Body:
+        """The body in the pose of the drape. Raises ``BodyError`` for an impossible pose."""
+        return pose_body(self.body, self.pose) if self.pose else self.body
 
     def require_drapeable(self) -> None:
         """Raise ``DrapeError`` for a mesh or body without faces, or with indices beyond its vertices."""

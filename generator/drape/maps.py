@@ -61,7 +61,7 @@ class PendingMaps:
     def _launch(self, jobs: Sequence[DrapeJob], at: Sequence[Float[np.ndarray, "_ 3"]], device: str) -> None:
         load_kernels("maps", kernels, topology, device=device)
         meshes = [job.box_mesh for job in jobs]
-        batch, skins = MeshBatch.of(meshes, device), _skins([job.body for job in jobs], device)
+        batch, skins = MeshBatch.of(meshes, device), _skins([job.posed_body for job in jobs], device)
         world = np.repeat(np.arange(len(jobs), dtype=np.int32), [len(vertices) for vertices in at])
         with launch_lock:
             surface = batch.surface(meshes)

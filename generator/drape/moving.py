@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.body.pose import pose_body
 from gcd_dataset.generator.device import native_builds
-from gcd_dataset.generator.drape.body_field import BodyField, closed_skin
+from gcd_dataset.generator.drape.body_field import BodyField, axes_at, axis_ends, closed_skin
 from gcd_dataset.generator.drape.kernels.moving import begin_frame
 from gcd_dataset.generator.drape.kernels.world import ClothArrays
 from gcd_dataset.records import Body, BodyPart, Pose
@@ -42,14 +42,18 @@ class Motion:
     """Positions in the A-pose, in which measures are taken [cm]."""
     trunk: Bool[np.ndarray, " w"]
     """Whether a vertex belongs to the trunk."""
+    axes: tuple[Float[np.ndarray, "2 axes 3"], ...]
+    """The axes of the body's parts at the same times as ``keys``: see ``BodyField.axes`` [cm]."""
 
     @classmethod
     def of(cls, bodies: Sequence[Body], home: Body | None = None) -> Self:
         """The motion through some bodies of one mesh; ``home``: the body in the A-pose, if it is not the first."""
         skin = closed_skin(bodies[0]).skin
         *keys, at_home = (skin.points(body.vertices).astype(np.float32) for body in (*bodies, home or bodies[0]))
+        ends = axis_ends(home or bodies[0])
+        axes = tuple(axes_at(key, ends) for key in keys)
         trunk = bodies[0].parts == BodyPart.TRUNK.value
-        return cls(bodies[-1], tuple(keys), at_home, np.pad(trunk, (0, len(keys[0]) - len(trunk))))
+        return cls(bodies[-1], tuple(keys), at_home, np.pad(trunk, (0, len(keys[0]) - len(trunk))), axes)
 
     @classmethod
     def to_pose(cls, body: Body, pose: Pose) -> Self:
@@ -87,7 +91,7 @@ class MovingSkin:
     mesh: wp.Mesh
     motion: Motion
     keys: wp.array
-    """(k, w) keys of ``motion``."""
+    """(k, w + a) keys of ``motion``, each with its axes."""
     frames: int
     """Frames that the motion takes."""
     seconds: float
@@ -108,7 +112,7 @@ class MovingSkin:
 
     def arrive(self) -> None:
         """Move the mesh to the end of the motion, where the cloth is: ``advance`` leaves it a frame earlier."""
-        wp.copy(self.mesh.points, self.keys[-1])
+        wp.copy(self.mesh.points, self.keys[-1], count=len(self.mesh.points))
         self.mesh.refit()
 
     def _along(self, frame: int) -> float:

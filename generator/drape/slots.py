@@ -150,6 +150,7 @@ class Slots:
             frame, first = float(row["frame"][0]), int(row["first"][0])
             skin = MovingSkin(w, body.mesh, motion, self._keys(motion), math.ceil(motion.seconds / frame), frame)
             row["skin"] = self._meshes[w] = body.mesh.id
+            self._axes[2 * w : 2 * w + 2] = motion.axes[-1]
             row["lowest"] -= max(motion.drop, 0.0)
             row["max_frames"] = skin.frames + solver.config.max_frames if ends else ENDLESS
             model.worlds.assign(self._rows)
@@ -170,7 +171,8 @@ class Slots:
         )
 
     def _keys(self, motion: Motion) -> wp.array:
-        return wp.array(np.stack(motion.keys), dtype=wp.vec3, device=self.solver.model.device)
+        keys = [np.concatenate([key, axes.reshape(-1, 3)]) for key, axes in zip(motion.keys, motion.axes, strict=True)]
+        return wp.array(np.stack(keys).astype(np.float32), dtype=wp.vec3, device=self.solver.model.device)
 
     def free(self, worlds: Sequence[int]) -> None:
         """Give up the places of garments."""

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Generic, Protocol, Self, TypeVar, Union
 
 import numpy as np
@@ -10,7 +11,7 @@ from jaxtyping import Float32, UInt8
 
 from gcd_dataset.generator.views import RenderedView, ViewRequest, finished_view, requested_scene, requested_views
 from gcd_dataset.outfits import joined_mesh
-from gcd_dataset.records import BoxMesh, Drape, Maps, WornGarment
+from gcd_dataset.records import Body, BoxMesh, Drape, Maps, WornGarment
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
@@ -36,6 +37,12 @@ class DrapeRequest:
     """The garments of ``job.under`` that the pictures show too."""
     prepared: "PreparedJob | None" = None
     """The job with its host data, made by a sender in another process."""
+
+    @cached_property
+    def body(self) -> Body:
+        """The wearer in the pose of the drape."""
+        motion = self.prepared and self.prepared.motion
+        return motion.body if motion else self.job.posed_body
 
     def shown(self, drape: Drape) -> tuple[BoxMesh, Float32[np.ndarray, "v 3"]]:
         """Mesh and vertices of the draped garment and those under it, for pictures."""
@@ -94,7 +101,7 @@ def make_reply(request: DrapeRequest, drape: Drape, device: str, *, seconds: flo
         from gcd_dataset.generator.render import render_garment
 
         mesh, vertices = request.shown(drape)
-        pictures = render_garment(vertices, mesh, request.job.body, size=request.picture, device=device)
+        pictures = render_garment(vertices, mesh, request.body, size=request.picture, device=device)
     maps = None
     if request.maps:
         from gcd_dataset.generator.drape import maps_of

@@ -88,7 +88,7 @@ class _Renderings:
         self._plain: PendingPictures | None = None
         self._maps = PendingMaps([(p.request.job, p.drape) for p in batch], device) if batch[0].request.maps else None
         if size := batch[0].request.picture:
-            shown = [(p.request.shown(p.drape), p.request.job.body) for p in batch]
+            shown = [(p.request.shown(p.drape), p.request.body) for p in batch]
             scenes = [garment_scene(vertices, mesh, body) for (mesh, vertices), body in shown]
             self._plain = start_plain(scenes, size=size, device=device)
         self._scenes: list[Scene] = []

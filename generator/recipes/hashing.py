@@ -23,7 +23,7 @@ def made_patterns(recipe: Recipe, designs: Iterable[int]) -> Iterator[tuple[int,
     # Up to the mesh: a design that cannot be meshed is rejected, and the next attempt has another pattern.
     config = recipe.config
     if config.stage == "drape":
-        config = replace(config, stage="mesh", maps=False, views=0)
+        config = replace(config, stage="mesh", maps=False, poses="", views=0)
     for number in designs:
         worn = list[DressedDesign]()
         while not worn or not worn[-1].is_outermost:

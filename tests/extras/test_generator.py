@@ -50,7 +50,8 @@ def test_a_failure_in_a_worker_is_raised_here() -> None:
         list(produce(5, range(4), MakeConfig(stage="pattern", design=heavy, max_attempts=2), workers=2))
 
 
-def test_the_smoke_set_has_the_cited_hash() -> None:
+@pytest.mark.parametrize("name", ["smoke-64-draft", "poses-draft"])
+def test_a_recipe_has_the_cited_hash(name: str) -> None:
     """After a change of the sampler, ``python -m gcd_dataset.generator.recipes.hashing NAME`` prints the new hash."""
-    recipe = find_recipe("smoke-64-draft")
+    recipe = find_recipe(name)
     assert PatternHash.of(made_patterns(recipe, range(recipe.designs))).agrees(recipe.patterns)

@@ -8,6 +8,7 @@ import sys
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal, Self
 from unittest.mock import Mock
 
@@ -17,7 +18,7 @@ from PIL import Image
 
 from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
-from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
+from gcd_dataset.generator.body import build_body, draw_shape, measure, named_pose, neutral_shape
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.garments import Reject, attempted_design, design_from_dict, garment_tags
@@ -25,10 +26,10 @@ from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.pipeline import build_pattern, fit
-from gcd_dataset.generator.recipe import MakeConfig, devices_of, recipe_of
+from gcd_dataset.generator.recipe import MakeConfig, devices_of, layout_of_samples, recipe_of
 from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Pattern, Sample
 from gcd_dataset.seeding import Stage, rng
-from gcd_dataset.shards.codec import encode_sample
+from gcd_dataset.shards.codec import decode_sample, encode_sample
 from gcd_dataset.shards.layout import key_of
 
 FLAT = MakeConfig(stage="pattern")
@@ -123,6 +124,58 @@ def test_turned_arms_do_not_change_the_pattern() -> None:
     assert recipe_of(replace(FLAT, arms=15))["arms"] == 15.0
     with pytest.raises(ConfigError, match="arms is 50"):
         replace(FLAT, arms=50)
+
+
+SHORT = Overlay.from_dict({"meta": {"upper": "none", "bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.2}})
+
+
+def test_poses_are_drawn_by_seed_and_number_and_change_no_pattern() -> None:
+    plain = replace(DRAPED, design=SHORT)
+    standing = replace(plain, poses="standing")
+    first, second = produce(5, range(2), standing)
+    assert make(5, 1, standing) == second
+    before = make(5, 1, plain)
+    assert (second.pattern, second.measurements) == (before.pattern, before.measurements)
+    assert first.shape and second.shape and before.shape and first.shape.pose and second.shape.pose
+    stored = decode_sample(encode_sample(second)).shape
+    assert stored and stored.pose == second.shape.pose
+    assert (second.shape.pose.name, second.shape.pose.cuts) == ("standing", 0)
+    assert first.shape.pose != second.shape.pose
+    assert second.shape == replace(before.shape, pose=second.shape.pose)
+    assert "poses" not in recipe_of(plain)
+    assert layout_of_samples(standing).members == tuple(encode_sample(first))
+
+
+def test_pictures_and_maps_show_the_body_in_its_pose(tmp_path: Path) -> None:
+    """Arms are level; a long sleeve stays near the skin. Of a file its content decides, wherever it lies."""
+    level = {"shoulder": [0, 8, 0], "upper_arm": [0, 37, 0]}
+    (tmp_path / "level.json").write_text(json.dumps([level]))
+    shirt = {"meta": {"upper": "Shirt", "bottom": "none", "wb": "none"}, "sleeve": {"sleeveless": False, "length": 0.9}}
+    given = replace(DRAPED, design=Overlay.from_dict(shirt), bodies="neutral", maps=True)
+    sample = make(5, 0, replace(given, poses=str(tmp_path / "level.json")))
+    assert sample.shape and sample.shape.pose == replace(named_pose("t-pose"), name="level")
+    assert sample.drape and sample.maps and sample.front
+    arms = np.abs(sample.drape.vertices[:, 0]) > 35.0
+    assert sample.drape.vertices[arms, 1].min() > 115.0
+    assert np.median(sample.maps.gap[arms]) < 6.0
+    rows, columns = np.nonzero(np.asarray(Image.open(io.BytesIO(sample.front)).convert("L")) < 225)
+    assert rows[columns < columns.min() + 3].mean() < 0.35 * DRAPED.picture  # a hand
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/level.json").write_text(json.dumps(level))
+    recipes = [recipe_of(replace(DRAPED, poses=str(tmp_path / name))) for name in ("level.json", "other/level.json")]
+    assert recipes[0] == recipes[1]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"stage": "mesh"}, "poses are of a drape, and stage mesh drapes nothing"),
+        ({"outfits": "everyday"}, "poses are for single garments"),
+    ],
+)
+def test_poses_that_no_drape_has_are_refused(options: dict, told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        replace(DRAPED, poses="standing", **options)
 
 
 def test_random_wearers_are_women_and_men_named_by_their_sex() -> None:

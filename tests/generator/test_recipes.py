@@ -34,7 +34,7 @@ def test_the_recipes_of_the_package() -> None:
     assert [recipe.name for recipe in recipes] == list(recipe_names())
     counts = {recipe.name.removesuffix("-draft"): recipe.count for recipe in recipes}
     of_two = {"smoke-64": 64, "standard-1k": 1000, "standard-24k": 24_000, "full-230k": 230_000}
-    assert counts == of_two | {"fits": 1_200_000, "outfits": 1000}
+    assert counts == of_two | {"fits": 1_200_000, "outfits": 1000, "poses": 1000}
     for recipe in recipes:
         assert recipe.config.on_fail == "keep"
         assert sum(recipe.sizes().values()) == recipe.count

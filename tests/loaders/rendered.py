@@ -61,7 +61,10 @@ def sample_of(reply: DrapeReply, config: MakeConfig = CONFIG) -> Sample:
 
 def write(folder: Path, made: Sequence[Sample], config: MakeConfig = CONFIG) -> Path:
     with ShardWriter(
-        folder, seed=SEED, recipe=recipe_of(config), layout=garments_layout(maps=config.maps, views=config.views)
+        folder,
+        seed=SEED,
+        recipe=recipe_of(config),
+        layout=garments_layout(maps=config.maps, pose=bool(config.poses), views=config.views),
     ) as writer:
         for sample in made:
             writer.write(sample)

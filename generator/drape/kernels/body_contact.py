@@ -18,15 +18,16 @@ BEYOND = 3.9  # cm: a field has no gradient where it ends, ``body_field.BAND``
 LEFT_ARM, RIGHT_ARM = wp.constant(1), wp.constant(2)  # columns of ``ClothArrays.axes``
 FIELD_ERROR = 0.5  # cm, of the field beside worn cloth
 OUTSIDE_CLOTH = 0.3  # cm: where the field is larger, points lie outside all worn cloth
+DEEPEST = 1.5  # cm: the inside of a long edge that is deeper in a skin that moves is left to its ends
 MIDDLE_SHARE = 0.5  # share of ``body_gap`` that the inside of a long edge keeps
 
 
 @wp.func
-def skin_distance(skin: wp.uint64, x: wp.vec3) -> wp.vec4:
-    """Unit gradient and value of the signed distance from a skin [cm]; ``BAND`` at least that far outside."""
-    near = wp.mesh_query_point_sign_normal(skin, x, BAND)
+def skin_distance(skin: wp.uint64, x: wp.vec3, reach: float) -> wp.vec4:
+    """Unit gradient and value of the signed distance from a skin [cm]; ``reach`` at least that far from it."""
+    near = wp.mesh_query_point_sign_normal(skin, x, reach)
     if not near.result:
-        return wp.vec4(0.0, 1.0, 0.0, BAND)
+        return wp.vec4(0.0, 1.0, 0.0, reach)
     away = near.sign * (x - wp.mesh_eval_position(skin, near.face, near.u, near.v))
     distance = wp.length(away)
     normal = wp.mesh_eval_face_normal(skin, near.face)
@@ -47,13 +48,13 @@ def skin_velocity(world: World, x: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def sample_field(world: World, x: wp.vec3) -> wp.vec4:
+def sample_field(world: World, x: wp.vec3, reach: float = BAND) -> wp.vec4:
     """Unit gradient and value [cm] of the signed distance at ``x``, trilinear; 1000 cm beyond the grid.
 
-    From the mesh of a skin that moves: no field is rebuilt.
+    From the mesh of a skin that moves, up to ``reach`` from it: no field is rebuilt.
     """
     if world.skin != wp.uint64(0):
-        return skin_distance(world.skin, x)
+        return skin_distance(world.skin, x, reach)
     g = (x - world.field_origin) / world.field_cell
     nx = world.field_size[0]
     ny = world.field_size[1]
@@ -172,7 +173,7 @@ def push_long_edge(
         carried = wp.lerp(cloth.skin_velocity[i], cloth.skin_velocity[j], t)
         before -= cloth.skin_lag[cloth.vertex_world[i]] * carried
         here = before + world.dt * (wp.lerp(v[i], v[j], t) - carried)
-        near = sample_field(world, here)
+        near = sample_field(world, here, DEEPEST)
         if near[3] >= world.body_gap:
             continue
         part = nearest_part(world, here)

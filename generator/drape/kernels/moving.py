@@ -62,10 +62,15 @@ def begin_frame(
 ):
     """Put the skin of a world at the start of a frame, with the velocity to its end; contacts are searched.
 
-    ``keys``: positions at equal intervals of the motion; ``here`` and ``there``: how many of them lie behind the skin.
+    ``keys``: positions of the skin, then of the ends of its axes, at equal intervals of the motion; ``here`` and
+    ``there``: how many of them lie behind the skin.
     """
     i = wp.tid()
     point = key_at(keys, here, i)
+    if i >= points.shape[0]:
+        axis = i - points.shape[0]
+        cloth.axes[2 * w + axis // cloth.axes.shape[1], axis % cloth.axes.shape[1]] = point
+        return
     points[i] = point
     velocities[i] = (key_at(keys, there, i) - point) / seconds
     if i == 0:

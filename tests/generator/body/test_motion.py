@@ -11,9 +11,9 @@ from gcd_dataset.errors import BodyError, ConfigError
 from gcd_dataset.generator.body import GAITS, build_body, named_motion, named_shape, pose_body, read_motion, walk
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.motion import CMU
-from gcd_dataset.generator.body.pose import BONES, parent_of, require_possible, rig
+from gcd_dataset.generator.body.pose import parent_of, require_possible, rig
 from gcd_dataset.generator.drape.self_contact import skin_crossings
-from gcd_dataset.records import Body, Pose
+from gcd_dataset.records import BONES, Body, Pose
 
 A_POSE = {"": ("", (0, 0, 0))} | {
     bone: (parent_of(bone), tuple(at)) for bone, at in zip(BONES, rig().carriers @ body_model().mean, strict=True)

@@ -12,11 +12,13 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from gcd_dataset.errors import BodyError
+from gcd_dataset.generator import standing
 from gcd_dataset.generator.body import build_body, draw_shape, named_pose, named_shape, pose_body
-from gcd_dataset.generator.body.pose import BONES, POSES, pose_of, rig
+from gcd_dataset.generator.body.pose import POSES, TREE, TRUNK, pose_of, read_poses, rig, side_and_kind
+from gcd_dataset.generator.body.shape import ARM_ROOM, arm_clearance
 from gcd_dataset.generator.drape.self_contact import skin_crossings
 from gcd_dataset.generator.standing import draw_pose
-from gcd_dataset.records import Body, Pose
+from gcd_dataset.records import BONES, Body, Pose
 from gcd_dataset.seeding import Stage, rng
 
 
@@ -44,6 +46,8 @@ def test_the_rig_is_small_and_matches_its_checksum() -> None:
     assert len(content) < 25e3
     assert hashlib.sha256(content).hexdigest() == (folder / "rig.npz.sha256").read_text().split()[0]
     assert len(BONES) <= 60
+    assert list(dict.fromkeys(side_and_kind(bone)[1] for bone in BONES)) == list(TREE)
+    assert BONES[: len(TRUNK)] == TRUNK
 
 
 def test_joints_lie_inside_the_body(body: Body) -> None:
@@ -127,6 +131,47 @@ def test_named_and_drawn_poses_do_not_cut_the_body() -> None:
     for seed in range(3):
         body = build_body(draw_shape(rng(seed, 0, Stage.BODY)))
         assert skin_crossings(pose_body(body, draw_pose(rng(seed, 0, Stage.POSE), body))) == 0
+
+
+def test_drawn_poses_leave_room_for_cloth_below_the_armpits() -> None:
+    """A raised arm has no part in the section there."""
+    for number in (4, 7, 9):
+        body = build_body(draw_shape(rng(0, number, Stage.BODY)))
+        assert arm_clearance(pose_body(body, draw_pose(rng(0, number, Stage.POSE), body))) >= ARM_ROOM
+    raised = {"left_upper_arm": (0, 60, 0), "left_shoulder": (0, 10, 0), "right_upper_arm": (0, -25, 0)}
+    assert arm_clearance(pose_body(body, pose_of(raised, "one arm up"))) < 10.0
+
+
+def test_a_body_that_always_touches_itself_gets_a_pose_of_that_name(
+    woman: Body, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Drawn again, a body that touches itself in its first poses gets another."""
+    found = iter([1, 1, 0])
+    monkeypatch.setattr(standing, "skin_crossings", lambda body: next(found))
+    assert draw_pose(rng(0, 0, Stage.POSE), woman).name == "standing"
+    assert not list(found)
+    monkeypatch.setattr(standing, "skin_crossings", lambda body: 1)
+    assert draw_pose(rng(0, 0, Stage.POSE), woman) == Pose({}, "a-pose")
+
+
+def test_poses_of_a_file(tmp_path: Path) -> None:
+    one, several, table = tmp_path / "one.json", tmp_path / "several.json", tmp_path / "table.toml"
+    one.write_text('{"left_forearm": [30, 0, 0]}')
+    several.write_text('[{"left_forearm": [30, 0, 0]}, {"head": [0, 0, 9]}]')
+    table.write_text("[[poses]]\nleft_forearm = [30, 0, 0]\n[[poses]]\nhead = [0, 0, 9]\n")
+    assert [pose.name for pose in read_poses(several)] == ["several:1", "several:2"]
+    assert [pose.turns for pose in read_poses(table)] == [pose.turns for pose in read_poses(several)]
+    assert named_pose(one).turns == read_poses(several)[0].turns
+    with pytest.raises(BodyError, match=r"several\.json: holds 2 poses: give a file of one"):
+        named_pose(several)
+    for text, told in (
+        ("[]", "an empty list"),
+        ("[{}, 3]", r"one.json:2: not an object"),
+        ('{"tail": [0]}', "no bone"),
+    ):
+        one.write_text(text)
+        with pytest.raises(BodyError, match=told):
+            read_poses(one)
 
 
 def test_standing_poses_vary_and_stand_on_both_soles(woman: Body) -> None:

@@ -10,6 +10,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import named_pose, pose_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, drape_motion
 from gcd_dataset.generator.drape import moving as moving_module
+from gcd_dataset.generator.drape.body_field import AXES
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.moving import Motion
 from gcd_dataset.generator.drape.slots import Slots, rooms_of
@@ -103,6 +104,20 @@ def test_sleeves_go_up_with_the_arms(tee: DrapeJob) -> None:
         [cuff] = [rim for rim in worn.openings(side) if sign * drape.vertices[rim, 0].mean() > 30.0]
         assert np.ptp(drape.vertices[cuff, 0]) < 8.0  # a vertical ring, as the arm is level
         assert drape.vertices[cuff, 1].min() > 120.0
+
+
+def test_the_axes_of_the_parts_move_with_the_body(tee: DrapeJob) -> None:
+    """Crossing cloth is pulled toward the axis of its own part: in the T-pose, toward a level arm."""
+    slots, arm = slots_of(tee), list(AXES).index("left arm")
+    solver = slots.solver
+    upper, hand = solver.model.cloth.axes.numpy()[:2, arm]
+    assert upper[1] - hand[1] > 25.0
+    slots.move(0, Motion.to_pose(tee.body, named_pose("t-pose")))
+    for _ in range(solver.moving[0].frames + 2):
+        solver.moving[0].advance(solver.state, solver.model.cloth)
+    upper, hand = solver.model.cloth.axes.numpy()[:2, arm]
+    assert abs(upper[1] - hand[1]) < 6.0
+    assert hand[0] - upper[0] > 30.0
 
 
 def test_impossible_poses_cost_no_other_garment(tee: DrapeJob) -> None:
