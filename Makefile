@@ -20,7 +20,7 @@ DOCS_INSTALLED := .venv/.installed-docs
 # package index, as behind one that only pip knows, pip installs. Arguments: environment, packages.
 UV := .venv/bin/uv
 install = $(UV) pip install --quiet --python $(1) $(2) || $(1)/bin/python -m pip install --quiet $(2)
-EXTRAS_OF_PACKAGE := dev,frameworks,ray,croissant,docs,browser,notebooks
+EXTRAS_OF_PACKAGE := dev,frameworks,ray,croissant,mcp,docs,browser,notebooks
 LOCKED := --constraint constraints.txt --editable
 # Wheels also from where pip is told to look.
 export UV_FIND_LINKS ?= $(PIP_FIND_LINKS)
