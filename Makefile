@@ -2,6 +2,7 @@
 # make test         install into .venv, then lint, types and tests
 # make test-extras  install into .venv-extras, then run the recipes of docs/training.md with their frameworks,
 #                   make garments on a Ray cluster of several nodes, read an S3 store, check a Croissant description,
+#                   call gcd-mcp as agents do,
 #                   carry out the examples of CONTRIBUTING.md, run the long tests beside the others,
 #                   try 60 inputs instead of 20 in each test of properties, and import a garment into Blender
 # make docs         write the documentation into site/

@@ -10,6 +10,7 @@ import pytest
 from gcd_dataset.errors import ConfigError, GcdError, OutputError
 from gcd_dataset.generator.garments import GarmentDesign, read_design
 from gcd_dataset.generator.garments.space import leaves
+from gcd_dataset.mcp import server
 from gcd_dataset.mcp.tools import MOST_GARMENTS, Refused, Tools
 
 SKIRT = {"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.4}}
@@ -61,7 +62,7 @@ def test_a_seed_draws_the_same_garment_again(made: Tools) -> None:
 
 
 @pytest.mark.parametrize(
-    "path", ["../out/secret.json", "link/secret.json", "/etc/passwd", "skirt/../../out/secret.json"]
+    "path", ["../out/secret.json", "link/secret.json", "/etc/secret.json", "skirt/../../out/secret.json"]
 )
 def test_paths_out_of_the_root_are_refused_for_reading_and_writing(made: Tools, path: str) -> None:
     for call in (
@@ -115,7 +116,7 @@ def test_limits_and_contradictions_are_refused(made: Tools) -> None:
         made.drape([SPEC], "draped", resolution=0.5)
     with pytest.raises(ConfigError, match="give a seed or a design"):
         made.draw("new")
-    with pytest.raises(ConfigError, match="end the name in .dxf"):
+    with pytest.raises(ConfigError, match=r"end the name in \.dxf"):
         made.export(SPEC, "skirt.exe")
     with pytest.raises(Refused, match=r"^gcd drape: unknown fabric 'silk': choose one of default, "):
         made.drape([SPEC], "draped", fabric="silk")
@@ -129,3 +130,15 @@ def test_a_call_answers_in_json_and_runs_no_module_of_its_folder(tmp_path: Path)
     done = subprocess.run(command, input=given, cwd=tmp_path, capture_output=True, text=True, check=True)
     answer = {"text": "no.json: no such file: give the path of a specification JSON", "picture": None, "refused": True}
     assert json.loads(done.stdout) == answer
+
+
+def test_a_missing_folder_or_library_is_one_line_and_exit_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "mcp", None)
+    for folder, message in ((tmp_path / "none", "no such folder: create it"), (tmp_path, "'gcd-dataset[mcp]'")):
+        with pytest.raises(SystemExit, match="2"):
+            server.main([str(folder)])
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
