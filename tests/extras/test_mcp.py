@@ -53,7 +53,7 @@ async def refusal(client: Any, tool: str, **given: Any) -> str:
 
 def calls(root: Path) -> list[str]:
     """The processes that work for a server of ``root``."""
-    listed = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout.splitlines()
+    listed = subprocess.run(["ps", "-ewwo", "args"], capture_output=True, text=True, check=True).stdout.splitlines()
     return [line for line in listed if f"gcd_dataset.mcp.tools {root}" in line]
 
 
@@ -104,8 +104,9 @@ def test_a_call_ends_after_its_time_or_with_its_client(tmp_path: Path) -> None:
 
     async def leaves(client: Any) -> None:
         task = asyncio.create_task(client.call_tool("drape", {"specs": ["no.json"], "out": "draped"}))
-        while not calls(tmp_path):
-            await asyncio.sleep(0.05)
+        async with asyncio.timeout(60):
+            while not calls(tmp_path):
+                await asyncio.sleep(0.05)
         task.cancel()
 
     serve(tmp_path, leaves)
