@@ -135,7 +135,7 @@ def test_a_call_answers_in_json_and_runs_no_module_of_its_folder(tmp_path: Path)
 def test_a_missing_folder_or_library_is_one_line_and_exit_2(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setitem(sys.modules, "mcp", None)
+    monkeypatch.setitem(sys.modules, "mcp.server", None)
     for folder, message in ((tmp_path / "none", "no such folder: create it"), (tmp_path, "'gcd-dataset[mcp]'")):
         with pytest.raises(SystemExit, match="2"):
             server.main([str(folder)])
