@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from gcd_dataset.errors import ConfigError, GcdError, OutputError
 from gcd_dataset.generator.garments import GarmentDesign, read_design
 from gcd_dataset.generator.garments.space import leaves
 from gcd_dataset.mcp import server
-from gcd_dataset.mcp.tools import MOST_GARMENTS, Refused, Tools
+from gcd_dataset.mcp.tools import MOST_GARMENTS, Answer, Refused, Tools
 
 SKIRT = {"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.4}}
 
@@ -65,7 +66,7 @@ def test_a_seed_draws_the_same_garment_again(made: Tools) -> None:
     "path", ["../out/secret.json", "link/secret.json", "/etc/secret.json", "skirt/../../out/secret.json"]
 )
 def test_paths_out_of_the_root_are_refused_for_reading_and_writing(made: Tools, path: str) -> None:
-    for call in (
+    calls: tuple[Callable[[], Answer], ...] = (
         lambda: made.check(path),
         lambda: made.drape([path], "draped"),
         lambda: made.score(SPEC, path),
@@ -75,7 +76,8 @@ def test_paths_out_of_the_root_are_refused_for_reading_and_writing(made: Tools, 
         lambda: made.draw("new", design=SKIRT, body=path),
         lambda: made.draw(path, design=SKIRT, overwrite=True),
         lambda: made.export(SPEC, f"{path}.dxf", overwrite=True),
-    ):
+    )
+    for call in calls:
         with pytest.raises(ConfigError, match="leads out of the root folder"):
             call()
 
@@ -90,12 +92,13 @@ def test_no_path_is_a_home_a_server_or_an_option(made: Tools, path: str) -> None
 
 def test_an_output_is_overwritten_only_if_asked(made: Tools) -> None:
     (made.root / "mine.mtl").write_text("mine")
-    for call in (
+    calls: tuple[Callable[[], Answer], ...] = (
         lambda: made.draw("skirt", design=SKIRT),
         lambda: made.drape([SPEC], "skirt"),
         lambda: made.export(SPEC, SPEC.replace(".json", ".svg").replace("specification", "pattern")),
         lambda: made.export(SPEC, "mine.obj"),
-    ):
+    )
+    for call in calls:
         with pytest.raises(OutputError, match="is there already: give another name, or overwrite=true"):
             call()
 
