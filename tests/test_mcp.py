@@ -117,8 +117,10 @@ def test_limits_and_contradictions_are_refused(made: Tools) -> None:
         made.drape([SPEC] * (MOST_GARMENTS + 1), "draped")
     with pytest.raises(ConfigError, match=r"resolution 0\.5: give 1 to 10 centimetres"):
         made.drape([SPEC], "draped", resolution=0.5)
-    with pytest.raises(ConfigError, match="give a seed or a design"):
+    with pytest.raises(ConfigError, match="give a seed of 0 or more, or a design"):
         made.draw("new")
+    with pytest.raises(ConfigError, match="give a seed of 0 or more, or a design"):
+        made.draw("new", seed=-1)
     with pytest.raises(ConfigError, match=r"end the name in \.dxf"):
         made.export(SPEC, "skirt.exe")
     with pytest.raises(Refused, match=r"^gcd drape: unknown fabric 'silk': choose one of default, "):

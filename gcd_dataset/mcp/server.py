@@ -22,8 +22,8 @@ INSTRUCTIONS = (
 )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Serve until the client closes stdin; the exit code is 2 for a missing folder or library."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Serve until the client closes stdin. Exits 2 for a missing folder or library."""
     parser = Parser(prog="gcd-mcp", description="Tools of gcd for agents, over MCP on stdio.")
     parser.add_argument("root", type=Path, metavar="ROOT", help="the folder that tools read from and write to")
     parser.add_argument(
@@ -41,7 +41,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in TOOLS:
         server.add_tool(_limited(getattr(tools, name), tools.root, options.seconds, turn), structured_output=False)
     server.run()
-    return 0
 
 
 def _limited(
@@ -68,22 +67,17 @@ async def _answer(name: str, given: dict[str, Any], root: Path, seconds: float) 
     command = (sys.executable, "-P", "-m", "gcd_dataset.mcp.tools", str(root), name)
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(*command, stdin=pipe, stdout=pipe)
+    printed, fault = b"", ""
     try:
         async with asyncio.timeout(seconds):
             printed, _ = await process.communicate(json.dumps(given).encode())
     except TimeoutError:
-        remedy = "give fewer garments or a coarser resolution, or start gcd-mcp with more --seconds"
-        return {"text": f"{name}: ended after {seconds:g} s: {remedy}", "picture": None, "refused": True}
+        fault = f"{name}: ended after {seconds:g} s: give fewer garments, a coarser resolution, or more --seconds"
     finally:
         if process.returncode is None:
             process.kill()
             await process.wait()
-    if process.returncode:
+    if not fault and process.returncode:
         fault = f"{name}: died with exit code {process.returncode}: its last lines are in the log of gcd-mcp"
-        return {"text": fault, "picture": None, "refused": True}
-    answer: dict[str, Any] = json.loads(printed)
+    answer: dict[str, Any] = {"text": fault, "picture": None, "refused": True} if fault else json.loads(printed)
     return answer
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -13,15 +13,17 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import UInt8
 
 from gcd_dataset.errors import ConfigError, GcdError, OutputError, SpecError, shown
-
-if TYPE_CHECKING:
-    import numpy as np
-    from jaxtyping import UInt8
-
-    from gcd_dataset.generator.garments.space import DesignSpace
+from gcd_dataset.faults import check_pattern
+from gcd_dataset.files import safe_name
+from gcd_dataset.generator.drawing import captioned, contact_sheet, draw_body, draw_pattern, picture_of, png_bytes
+from gcd_dataset.release.published_names import ENDINGS
+from gcd_dataset.spec import read_pattern
 
 TOOLS = ("parameters", "draw", "check", "drape", "measure", "score", "export")
 MOST_GARMENTS = 8  # of a drape
@@ -34,7 +36,7 @@ class Answer(NamedTuple):
     """What a tool answers."""
 
     text: str
-    picture: "UInt8[np.ndarray, 'h w 3'] | None" = None
+    picture: UInt8[np.ndarray, "h w 3"] | None = None
 
 
 class Refused(Exception):  # noqa: N818 -- an answer
@@ -55,13 +57,14 @@ class Tools:
         text names no unit are fractions or counts; left.NAME means what NAME means, for the left half.
         """
         from gcd_dataset.generator.body import named_body
-        from gcd_dataset.generator.drawing import draw_pattern
         from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, design_from_dict
         from gcd_dataset.generator.garments.space import DesignSpace
 
         design = design_from_dict({"meta": {"upper": upper, "bottom": bottom}})
-        used = design.sections_used() | ({"front"} if design.halves() else set())  # sewn fronts leave it unused
-        lines = _parameter_lines(DesignSpace.declared(GarmentDesign), sections=used)
+        used = {"front"} if design.halves() else set()  # sewn fronts leave it unused
+        used |= {name.replace("_", "-") for name in design.sections_used()}
+        space = DesignSpace.declared(GarmentDesign)
+        lines = [line for line in _parameter_lines(space) if line.partition(".")[0] in used]
         if upper is None and bottom is None:
             return Answer("\n".join([*lines, "give upper or bottom for the parameters of a garment"]))
         drawn = DrawnGarment.of(named_body("neutral")[1], design, name="defaults")
@@ -83,20 +86,13 @@ class Tools:
         defaults), or the path of a design_params.yaml. body: neutral, female, male, random:SEED, female:SEED,
         male:SEED, or a mesh file; height [cm]: of a mesh file in another unit than m, cm or mm.
         """
-        import numpy as np
-
         from gcd_dataset.cli.common import design_in
         from gcd_dataset.generator import named_body, sample_design
-        from gcd_dataset.generator.drawing import draw_pattern
         from gcd_dataset.generator.fitting import garment_name, write_drawn
         from gcd_dataset.generator.garments.design import design_from_dict, write_design
-        from gcd_dataset.release.published_names import ENDINGS
-        from gcd_dataset.spec import read_pattern
 
-        if (seed is None) == (design is None):
-            raise ConfigError("give a seed or a design, one of them")
-        if seed is not None and seed < 0:
-            raise ConfigError(f"seed {seed}: give a whole number of 0 or more")
+        if (seed is None) == (design is None) or (seed or 0) < 0:
+            raise ConfigError("give a seed of 0 or more, or a design, one of them")
         folder, size = self._new(out, overwrite), named_body(self._body(body), height=height)[1]
         if isinstance(design, str):
             chosen = design_in(self._inside(design))
@@ -109,16 +105,11 @@ class Tools:
         pattern = read_pattern(spec)
         parts = [str(part.value) for part in (chosen.meta.upper, chosen.meta.wb, chosen.meta.bottom) if part]
         lines = [f"{spec}: {', '.join(parts)}: {len(pattern.panels)} panels, {len(pattern.seams)} seams"]
-        lines += [f"on this body, {reject}" for reject in rejects]
-        lines.append(f"in {folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
+        lines += [*(f"on this body, {reject}" for reject in rejects), f"{folder}: SVG, design parameters and measures"]
         return Answer("\n".join(lines), draw_pattern(pattern, size=PICTURE))
 
     def check(self, spec: str) -> Answer:
         """The faults of a specification file that forbid or hinder sewing, one a line."""
-        from gcd_dataset.faults import check_pattern
-        from gcd_dataset.generator.drawing import draw_pattern
-        from gcd_dataset.spec import read_pattern
-
         pattern = read_pattern(self._inside(spec))
         lines = list(map(str, check_pattern(pattern))) or ["1 pattern: no fault found"]
         return Answer("\n".join(lines), draw_pattern(pattern, size=PICTURE))
@@ -139,9 +130,6 @@ class Tools:
         garment takes seconds there and several times as long at 2. fabric: denim, cotton, interlock, …; an unknown
         name lists them all.
         """
-        from gcd_dataset.files import safe_name
-        from gcd_dataset.generator.drawing import captioned, contact_sheet, picture_of
-
         if not 1 <= len(specs) <= MOST_GARMENTS:
             raise ConfigError(f"{len(specs)} specifications: give 1 to {MOST_GARMENTS} for one drape")
         if not resolution >= FINEST:
@@ -163,33 +151,27 @@ class Tools:
         """The tailor's measures of a body as YAML [cm, degrees]. body, height: as for draw."""
         from gcd_dataset.cli.garment import measured_text
         from gcd_dataset.generator import named_body
-        from gcd_dataset.generator.drawing import draw_body
 
         name = self._body(body)
         person = named_body(name, height=height)[0]
         return Answer(measured_text(name, height=height), draw_body(person.vertices, person.faces, height=PICTURE))
 
-    def score(self, answer: str, truth: str, repair: bool = False) -> Answer:
+    def score(self, answer: str, truth: str) -> Answer:
         """Compare a predicted pattern with the true one: a table of all scores, and both patterns side by side.
 
-        answer: specification JSON, or another file that gcd score reads; truth: specification JSON. repair: mend and
-        name the faults of networks in the answer.
+        answer: a specification, or another file that gcd score reads. truth: a specification.
         """
-        from gcd_dataset.generator.drawing import captioned, contact_sheet, draw_pattern
         from gcd_dataset.scoring.answers import AnswerReader
         from gcd_dataset.scoring.folders import Scores
         from gcd_dataset.scoring.garments import garment_name, read_true, score_garment
 
         path, true = self._inside(answer), read_true(file := self._inside(truth))
-        read = AnswerReader(repair).read_file(path)
+        read = AnswerReader().read_file(path)
         if read.pattern is None:
             raise SpecError(f"{path}: {read.failure}")
         scored = score_garment(garment_name(file), read.pattern, true)
-        both = [
-            captioned(draw_pattern(pattern, size=PICTURE), title)
-            for pattern, title in ((read.pattern, "answer"), (true, "truth"))
-        ]
-        return Answer("\n".join([*Scores((scored,)).lines(), *read.remarks]), contact_sheet(both, columns=2))
+        both = [captioned(draw_pattern(p, size=PICTURE), t) for p, t in ((read.pattern, "answer"), (true, "truth"))]
+        return Answer("\n".join(Scores((scored,)).lines()), contact_sheet(both, columns=2))
 
     def export(self, spec: str, out: str, seam_allowance: float | None = None, overwrite: bool = False) -> Answer:
         """Write a specification file in another format, which the ending of out names.
@@ -198,15 +180,12 @@ class Tools:
         body at 1 cm, which takes up to minutes; the tool drape writes the first three coarser, or on another body.
         seam_allowance [cm]: of .dxf and .pdf (default: 1).
         """
-        from gcd_dataset.generator.drawing import draw_pattern
-        from gcd_dataset.spec import read_pattern
-
         form = Path(out).suffix.lower().removeprefix(".")
         if form not in FORMATS:
             raise ConfigError(f"{shown(out)}: end the name in .{', .'.join(FORMATS)}")
         path, file = self._inside(spec), self._new(out, overwrite)
         if form == "obj":
-            self._new(str(Path(out).with_suffix(".mtl")), overwrite)
+            self._new(str(file.with_suffix(".mtl")), overwrite)
         picture = draw_pattern(read_pattern(path), size=PICTURE)
         options = [] if seam_allowance is None else [f"--seam-allowance={seam_allowance}"]
         verb = ["show"] if form == "svg" else ["export", "--quiet"]
@@ -239,19 +218,14 @@ class Tools:
         return str(self._inside(name)) if shape_by_name(name, legs_apart=False) is None else name
 
 
-def _parameter_lines(
-    space: "DesignSpace[Any]", prefix: str = "", *, sections: frozenset[str] | None = None
-) -> Iterator[str]:
-    """A line for each parameter, of some sections only."""
+def _parameter_lines(space: Any, prefix: str = "") -> Iterator[str]:
+    """A line for each parameter of a ``DesignSpace``."""
     from gcd_dataset.generator.garments.parameter import plain
     from gcd_dataset.generator.garments.space import DesignSpace, field_docs
 
-    docs: dict[str, str] = {}
-    for owner in reversed(space.kind.__mro__[:-1]):
-        docs |= field_docs(owner)
+    owners = reversed(space.kind.__mro__[:-1])
+    docs = {name: text for owner in owners for name, text in field_docs(owner).items()}
     for entry in space.entries:
-        if sections is not None and entry.name not in sections:
-            continue
         if isinstance(entry.space, DesignSpace):
             yield from _parameter_lines(entry.space, f"{prefix}{entry.key}.")
         else:
@@ -279,16 +253,11 @@ def main() -> None:
     root, name = sys.argv[1:]
     wire = os.dup(1)
     os.dup2(2, 1)  # what libraries print is no part of the answer
-    answer, refused = Answer(""), False
     try:
-        answer = getattr(Tools(Path(root)), name)(**json.load(sys.stdin))
+        answer, refused = getattr(Tools(Path(root)), name)(**json.load(sys.stdin)), False
     except (GcdError, Refused) as error:
         answer, refused = Answer(str(error)), True
-    picture = None
-    if answer.picture is not None:
-        from gcd_dataset.generator.drawing import png_bytes
-
-        picture = base64.b64encode(png_bytes(answer.picture)).decode()
+    picture = None if answer.picture is None else base64.b64encode(png_bytes(answer.picture)).decode()
     with os.fdopen(wire, "w") as out:
         json.dump({"text": answer.text.replace(f"{root}{os.sep}", ""), "picture": picture, "refused": refused}, out)
 

@@ -24,7 +24,7 @@ SKIRT = {"meta": {"bottom": "SkirtCircle"}}
 
 def serve(root: Path, work: Callable[[Any], Awaitable[Any]], *options: str) -> Any:
     """What ``work`` returns for a client of a server of ``root``."""
-    words = ["-m", "gcd_dataset.mcp.server", str(root), *options]
+    words = ["-c", "from gcd_dataset.mcp.server import main; main()", str(root), *options]
     env = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
 
     async def connected() -> Any:
