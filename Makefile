@@ -2,6 +2,7 @@
 # make test         install into .venv, then lint, types and tests
 # make test-extras  install into .venv-extras, then run the recipes of docs/training.md with their frameworks,
 #                   make garments on a Ray cluster of several nodes, read an S3 store, check a Croissant description,
+#                   call gcd-mcp as agents do,
 #                   carry out the examples of CONTRIBUTING.md, run the long tests beside the others,
 #                   try 60 inputs instead of 20 in each test of properties, and import a garment into Blender
 # make docs         write the documentation into site/
@@ -20,7 +21,7 @@ DOCS_INSTALLED := .venv/.installed-docs
 # package index, as behind one that only pip knows, pip installs. Arguments: environment, packages.
 UV := .venv/bin/uv
 install = $(UV) pip install --quiet --python $(1) $(2) || $(1)/bin/python -m pip install --quiet $(2)
-EXTRAS_OF_PACKAGE := dev,frameworks,ray,croissant,docs,browser,notebooks
+EXTRAS_OF_PACKAGE := dev,frameworks,ray,croissant,mcp,docs,browser,notebooks
 LOCKED := --constraint constraints.txt --editable
 # Wheels also from where pip is told to look.
 export UV_FIND_LINKS ?= $(PIP_FIND_LINKS)

@@ -87,13 +87,28 @@ SIMULATED = ("generator/drape/", "generator/render")
 USERS = {
     "warp": ("generator/device.py", "generator/mesh/filling.py", "generator/mesh/triangulate.py", *SIMULATED),
     "ray": ("making/ray.py",),
+    "mcp": ("mcp/",),
     "huggingface_hub": ("hub/",),
     "aiohttp": ("hub/",),
     "s3fs": ("hub/",),
     "fsspec": ("hub/", "making/"),
 }
 """Library to the only files that import it."""
+LOWER = (
+    "check",
+    "cli",
+    "encodings",
+    "exports",
+    "generator",
+    "hub",
+    "loaders",
+    "making",
+    "metrics",
+    "release",
+    "scoring",
+)
 BELOW = {
+    (*LOWER, "shards", "viewer"): ("gcd_dataset.mcp",),
     ("shards", "release", "hub", "metrics"): ("gcd_dataset.generator", "gcd_dataset.loaders"),
     ("shards",): ("gcd_dataset.release", "gcd_dataset.hub"),
     tuple(f"generator/{name}" for name in ("body", "pattern", "garments", "mesh", "dressing")): (

@@ -5,13 +5,10 @@ python -m docs.tools.tables --check   # names stale documents; exit 1 if there a
 """
 
 import argparse
-import ast
 import inspect
 import re
 import sys
-import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +20,7 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.generator.drape import FABRICS
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.rules import RULES
+from gcd_dataset.generator.garments.space import field_docs
 from gcd_dataset.hub.card import FIELD_DESCRIPTIONS
 from gcd_dataset.loaders.fake import FakeGarments, fake_sample
 from gcd_dataset.loaders.fields import ADDED
@@ -262,27 +260,6 @@ def rst_rows(docstring: str) -> list[tuple[str, ...]]:
         else:
             rows[-1] = tuple(f"{above} {cell}".strip() for above, cell in zip(rows[-1], cells, strict=True))
     return rows
-
-
-def field_docs(owner: type) -> dict[str, str]:
-    """Attribute to the docstring below it.
-
-    >>> field_docs(COLUMNS["stitches"])["RIGHT"]
-    'As `LEFT`.'
-    """
-    (body,) = (node.body for node in ast.parse(textwrap.dedent(inspect.getsource(owner))).body if hasattr(node, "body"))
-    found = {}
-    for node, below in pairwise(body):
-        target = (
-            node.target
-            if isinstance(node, ast.AnnAssign)
-            else node.targets[0]
-            if isinstance(node, ast.Assign)
-            else None
-        )
-        if isinstance(target, ast.Name) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
-            found[target.id] = " ".join(str(below.value.value).split()).replace("``", "`")
-    return found
 
 
 def _summary(function: Callable[..., Any]) -> str:

@@ -19,12 +19,15 @@ depth is a number from 1 to 5
 rows is a whole number from 1 to 3
 """
 
+import ast
+import inspect
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from enum import Enum
 from functools import cache
-from itertools import chain, islice
+from itertools import chain, islice, pairwise
 from reprlib import repr as short
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -283,6 +286,27 @@ def value_at(space: DesignSpace[Any], design: Any, path: str) -> Any:
     entry = space.entry(key)
     value = getattr(design, entry.name)
     return value_at(entry.space, value, rest) if rest and isinstance(entry.space, DesignSpace) else value
+
+
+def field_docs(owner: type) -> dict[str, str]:
+    """Attribute to the docstring below it, in Markdown.
+
+    >>> field_docs(Leaf)
+    {'path': 'Its path in design files: `flare-skirt.cut.depth`.'}
+    """
+    (body,) = (node.body for node in ast.parse(textwrap.dedent(inspect.getsource(owner))).body if hasattr(node, "body"))
+    found = {}
+    for node, below in pairwise(body):
+        target = (
+            node.target
+            if isinstance(node, ast.AnnAssign)
+            else node.targets[0]
+            if isinstance(node, ast.Assign)
+            else None
+        )
+        if isinstance(target, ast.Name) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+            found[target.id] = " ".join(str(below.value.value).split()).replace("``", "`")
+    return found
 
 
 def _space(kind: type[D] | DesignSpace[D]) -> DesignSpace[D]:
