@@ -8,7 +8,7 @@ A seam along a line turns no cloth over: there panels lie on each other.
 import logging
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -115,6 +115,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
     Faces on both sides of a seam have the same winding, counter-clockwise as seen from outside the garment. Outside is
     the right side of the cloth except on panels that their seams turn over, such as lapels: see ``turned_panels``.
     Where buttons join two lines, the overlapping panels start ``LAYERS`` apart, the left one of the seam outside.
+    Folds with a rest angle over 90° start folded flat, mountain folds ``LAYERS`` outside of valley folds.
 
     Raises ``MeshError`` for a panel or a seam that cannot be meshed, with its name and a remedy.
     """
@@ -124,6 +125,8 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
         raise MeshError(f"pattern {pattern.name} has no panels: there is nothing to mesh")
     panels = _mesh_panels(pattern, spacing)
     edges = panels.edges(pattern)
+    if len(folds := _folds(pattern, edges)):
+        panels = replace(panels, positions=_folded(panels, pattern, folds))
     sewn = stitch_points(pattern.seams, [(edges[seam.left], edges[seam.right]) for seam in pattern.seams])
     vertex = merge_points(sewn, panels.panel_of_point, pattern.seams)
     corners = _consistent_corners(panels, pattern)
@@ -142,6 +145,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
         panel_labels=tuple(panel.label for panel in pattern.panels),
         seams=np.stack([vertex[sewn.left], sewn.seam], axis=1),
         labels=_labels(pattern, edges, vertex),
+        folds=folds,
     )
 
 
@@ -187,6 +191,67 @@ def _mesh_panels(pattern: Pattern, spacing: float) -> _MeshedPanels:
         borders=borders,
         first=first,
     )
+
+
+def _folds(pattern: Pattern, edges: Mapping[EdgeRef, Int[np.ndarray, " n"]]) -> Float[np.ndarray, "k 3"]:
+    """See ``BoxMesh.folds``."""
+    lines = {
+        EdgeRef(panel.name, index): line.angle
+        for panel in pattern.panels
+        for index, line in enumerate(panel.lines, len(panel.edges))
+        if line.angle
+    }
+    lines |= {seam.right: 180.0 for seam in pattern.seams if pattern.layers(seam)}
+    rows = [
+        np.stack([edges[ref][:-1], edges[ref][1:], np.full(len(edges[ref]) - 1, angle)], axis=1)
+        for ref, angle in lines.items()
+    ]
+    return np.concatenate([np.zeros((0, 3)), *rows])
+
+
+def _folded(panels: _MeshedPanels, pattern: Pattern, folds: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "c 3"]:
+    """The positions with all folds of more than 90° folded flat; of each panel the cloth nearest its middle stays.
+
+    Heights above the panel's plane, on its right side: half of ``LAYERS`` at mountain folds, less at valley folds,
+    linear between two folds.
+    """
+    positions = panels.positions.copy()
+    for number, panel in enumerate(pattern.panels):
+        creases = [line for line in panel.lines if abs(line.angle) > 90.0]
+        if not creases:
+            continue
+        own = panels.points_of(number)
+        faces = panels.corners[panels.panel_of_point[panels.corners[:, 0]] == number]
+        ends = panel.vertices[[[line.start, line.end] for line in creases]]
+        along = (ends[:, 1] - ends[:, 0]) / np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)[:, None]
+        normals = along[:, ::-1] * [-1.0, 1.0]
+        # Folds run from border to border without meeting: the sides of all folds on which cloth lies tell its layer.
+        beside = np.einsum("fkd,kd->fk", panels.uv[faces].mean(axis=1)[:, None] - ends[:, 0], normals) > 0.0
+        layers, layer = np.unique(beside, axis=0, return_inverse=True)
+        middle = panels.uv[own].mean(axis=0)
+        at = np.array([panels.uv[faces[layer == row]].mean(axis=(0, 1)) for row in range(len(layers))])
+        waiting = [int(np.argmin(np.linalg.norm(at - middle, axis=1)))]
+        turns = {waiting[0]: (np.eye(2), np.zeros(2))}
+        facing = signed_area(panel.vertices[[edge.start for edge in panel.edges]])
+        outwards = np.copysign(1.0, facing) * panel.placement.matrix[:, 2]
+        heights = 0.5 * LAYERS * np.sign([line.angle for line in creases])
+        while waiting:
+            row = waiting.pop()
+            turn, shift = turns[row]
+            points = np.unique(faces[layer == row])
+            next_to = [int(np.flatnonzero(other != layers[row])[0]) if (other != layers[row]).sum() == 1 else -1 for other in layers]
+            bounds = [k for k in next_to if k >= 0]
+            apart = np.abs(np.einsum("nkd,kd->nk", panels.uv[points][:, None] - ends[bounds, 0], normals[bounds]))
+            weights = 1.0 / np.maximum(apart, TOUCH)
+            height = (weights * heights[bounds]).sum(axis=1) / weights.sum(axis=1)
+            flat = panels.uv[points] @ turn.T + shift
+            positions[points] = panel.placement.apply(flat) + height[:, None] * outwards
+            for other, k in enumerate(next_to):
+                if k >= 0 and other not in turns:
+                    mirror = np.eye(2) - 2.0 * np.outer(normals[k], normals[k])
+                    turns[other] = turn @ mirror, shift + turn @ (ends[k, 0] - mirror @ ends[k, 0])
+                    waiting.append(other)
+    return positions
 
 
 def _layered(

@@ -202,7 +202,7 @@ class CoarseMesh:
 
 def coarse_start(mesh: BoxMesh) -> CoarseMesh | None:
     """The coarse mesh that a drape starts with; ``None`` if the mesh is small or a panel too narrow."""
-    if len(mesh.vertices) < FEW:
+    if len(mesh.vertices) < FEW or len(mesh.folds):  # a coarse mesh would lose the folds
         return None
     try:
         return coarsen(mesh)
