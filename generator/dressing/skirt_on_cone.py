@@ -110,6 +110,31 @@ class Skirt:
         forward = np.where(self.front[rows], 1.0, -1.0)
         placed[rows, 2] = trunk.origin[2] + forward * (trunk.deep + out) * np.cos(turn)
 
+    def place_folded(self, trunk: Limb, placed: Float[np.ndarray, "v 3"]) -> None:
+        """Set the rows of ``placed`` of a skirt that begins folded to positions round the trunk, its layers in order.
+
+        Each level of the folded panels between the side seams becomes an ellipse of the same girth [cm]; the skirt
+        begins at its top, without the gap to its waistband.
+        """
+        if not len(self.side):
+            return
+        rows = self.cloth.vertices
+        x, y, z = self.mesh.vertices[rows].T
+        seam = self.mesh.vertices[self.side]
+        order = np.argsort(seam[:, 1])
+        half = np.interp(y, seam[order, 1], np.abs(seam[order, 0]))
+        turn = 0.5 * np.pi * np.clip(x / np.maximum(half, CLEARANCE), -1.0, 1.0)
+        trunk = trunk.section(self._level - HIPS, self._level + CLEARANCE)
+        out = np.maximum(2.0 * half / np.pi - 0.5 * (trunk.wide + trunk.deep), CLEARANCE)
+        front = self.front[rows]
+        forward, aside = np.where(front, 1.0, -1.0), np.isin(rows, self.side) | np.isin(rows, self.top)
+        for own in (front & ~aside, ~front & ~aside):
+            out[own] += forward[own] * (z[own] - np.median(z[own]))
+        placed[rows, 0] = trunk.origin[0] + (trunk.wide + out) * np.sin(turn)
+        placed[rows, 2] = trunk.origin[2] + forward * (trunk.deep + out) * np.cos(turn)
+        below = ~np.isin(rows, self.top)
+        placed[rows[below], 1] += self._level - y[below].max()
+
     @cached_property
     def _down(self) -> Float[np.ndarray, " v"]:
         """Distance of each vertex from the top along the cloth [cm]."""

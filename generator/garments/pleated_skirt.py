@@ -1,6 +1,6 @@
 """The pleated skirt, which GarmentCode lacks: knife, box or inverted pleats. Panels ``pleat_front`` and ``pleat_back``.
 
-A panel is drawn folded, as a trapezoid from waist to hem, and unfolded by reflections in its folds: so its layers lie
+A panel is drawn folded, as a ring sector from waist to hem, and unfolded by reflections in its folds: so its layers lie
 on each other exactly, and its top is a zigzag, as if folded paper were cut along the waist. Along the top a pleat lies
 in three layers, sewn to each other; the uppermost one is sewn to the waistband.
 """
@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from itertools import accumulate, pairwise
+from math import cos, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from gcd_dataset.curves import LINE
 from gcd_dataset.generator.garments.description import Description, Detail, Setting, Tag, Words, Zone
 from gcd_dataset.generator.garments.garment import BottomGarment, Cutting, Ring
 from gcd_dataset.generator.garments.gathered_skirt import BACK, FRONT
-from gcd_dataset.generator.garments.skirt import SHORTEST, length_below_waist
+from gcd_dataset.generator.garments.skirt import SHORTEST, STRAIGHT, length_below_waist
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
 from gcd_dataset.generator.garments.trunk import back_share, girth_at_rise, waist_back, waist_front
 from gcd_dataset.generator.pattern import Component, Interface, Outline, Piece, backwards
@@ -26,7 +27,7 @@ from gcd_dataset.generator.pattern.stroke import Stroke
 from gcd_dataset.records import LineRole, Measurements
 
 PRESSED = 180.0  # degrees
-BOX = 0.25  # half the width of a box pleat, as a share of the room of a pleat
+BOX = 0.3  # half the width of a box pleat, as a share of the room of a pleat
 LEAST_SLOPE_HEIGHT = 5.0  # cm: least height between waist and hips over which a skirt widens
 
 
@@ -49,9 +50,9 @@ class PleatedSkirtDesign(Design):
     pleats: Pleats = choice(Pleats.KNIFE, *Pleats)
     """Knife pleats all turn to the wearer's right; a box stands out between two folds; an inverted pleat is a box seen
     from inside."""
-    pairs: int = integer(2, 1, 4)
-    """Half the number of pleats in the front, and in the back."""
-    depth: float = real(0.6, 0.3, 0.9)
+    count: int = integer(3, 2, 4)
+    """Number of box or inverted pleats in the front, and in the back; knife pleats are twice as many."""
+    depth: float = real(0.7, 0.5, 0.9)
     """Depth of the folds, as a fraction of the room that the kind of pleats leaves for them."""
     hips: float = real(1.05, 1.03, 1.2)
     """Girth of the folded skirt at the hips, as a fraction of the body's girth; at least as wide as the top."""
@@ -68,7 +69,7 @@ class Fold(NamedTuple):
 
 def folds_of(design: PleatedSkirtDesign) -> list[Fold]:
     """The folds of a panel."""
-    count, folds = 2 * design.pairs, []
+    count, folds = design.count * (2 if design.pleats is Pleats.KNIFE else 1), []
     for number in range(count):
         room, middle = 1.0 / count, (number + 0.5) / count
         match design.pleats:
@@ -113,7 +114,7 @@ def pleated_skirt(size: Measurements, design: PleatedSkirtDesign, cutting: Cutti
 
 @dataclass(frozen=True)
 class PleatedPanel:
-    """A panel with folds; its folded shape is a trapezoid below the origin, the middle of its top."""
+    """A panel with folds; its folded shape is a ring sector below the origin, the middle of its top."""
 
     name: str
     width: float
@@ -125,7 +126,10 @@ class PleatedPanel:
 
     def _at(self, place: float) -> Float[np.ndarray, "2 2"]:
         """The points at top and hem of the folded panel, at a share of its width."""
-        return np.array([[self.width * (place - 0.5), 0.0], [self.hem * (place - 0.5), -self.length]])
+        whole = max((self.hem - self.width) / self.length, STRAIGHT)
+        radius, turn = self.width / whole, whole * (place - 0.5)
+        top, hem = radius, radius + self.length
+        return np.array([[r * sin(turn), radius - r * cos(turn)] for r in (top, hem)])
 
     @property
     def _layers(self) -> list[tuple[float, float]]:
