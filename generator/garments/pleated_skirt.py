@@ -5,7 +5,6 @@ on each other exactly, and its top is a zigzag, as if folded paper were cut alon
 in three layers, sewn to each other; the uppermost one is sewn to the waistband.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from itertools import accumulate, pairwise
@@ -17,7 +16,7 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import LINE
 from gcd_dataset.generator.garments.description import Description, Detail, Setting, Tag, Words, Zone
-from gcd_dataset.generator.garments.garment import BottomGarment, Cutting, Ring
+from gcd_dataset.generator.garments.garment import BottomGarment, Cutting
 from gcd_dataset.generator.garments.gathered_skirt import BACK, FRONT
 from gcd_dataset.generator.garments.skirt import SHORTEST, STRAIGHT, length_below_waist
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
@@ -28,6 +27,7 @@ from gcd_dataset.records import LineRole, Measurements
 
 PRESSED = 180.0  # degrees
 BOX = 0.3  # half the width of a box pleat, as a share of the room of a pleat
+SLIT = 0.02  # half the distance of the folds that face each other over an inverted pleat, as a share of its room
 LEAST_SLOPE_HEIGHT = 5.0  # cm: least height between waist and hips over which a skirt widens
 
 
@@ -81,8 +81,9 @@ def folds_of(design: PleatedSkirtDesign) -> list[Fold]:
                 folds += [Fold(middle - half + depth, -1), Fold(middle - half, 1)]
                 folds += [Fold(middle + half, 1), Fold(middle + half - depth, -1)]
             case Pleats.INVERTED:
-                depth = 0.5 * design.depth * room
-                folds += [Fold(middle, 1), Fold(middle - depth, -1), Fold(middle + depth, -1), Fold(middle, 1)]
+                slit, depth = SLIT * room, 0.5 * design.depth * room
+                folds += [Fold(middle - slit, 1), Fold(middle - depth, -1)]
+                folds += [Fold(middle + depth, -1), Fold(middle + slit, 1)]
     return folds
 
 
@@ -96,9 +97,7 @@ def pleated_skirt(size: Measurements, design: PleatedSkirtDesign, cutting: Cutti
         PleatedPanel(f"pleat_{side}{cutting.suffix}", width, wider * width, length, folds_of(design))
         for side, width in (("front", girth - back_width), ("back", back_width))
     ]
-    front, back = (
-        panel.piece.at(0, size.waist_level, z) for panel, z in zip(panels, (FRONT, BACK), strict=True)
-    )
+    front, back = (panel.piece.at(0, size.waist_level, z) for panel, z in zip(panels, (FRONT, BACK), strict=True))
     whole = (
         Component.of(front, back)
         .sewn(front.along("right"), back.along("right"))
@@ -107,7 +106,10 @@ def pleated_skirt(size: Measurements, design: PleatedSkirtDesign, cutting: Cutti
     for panel, piece in zip(panels, (front, back), strict=True):
         for upper, lower in panel.stacked:
             whole = whole.sewn(piece.along(upper), piece.against(lower))
-    tops = (panel.top(ruffle=panel.width / waist) for panel, waist in zip(panels, (waist_front(size), waist_back(size)), strict=True))
+    tops = (
+        panel.top(ruffle=panel.width / waist)
+        for panel, waist in zip(panels, (waist_front(size), waist_back(size)), strict=True)
+    )
     ring_front, ring_back = tops
     return whole.offering(top=ring_front + backwards(ring_back))
 
@@ -181,10 +183,9 @@ class PleatedPanel:
     @property
     def piece(self) -> Piece:
         """The unfolded panel; the cloth in its middle stays where it is when folded."""
-        turns = [np.eye(3)]
-        turns += accumulate((_mirror(*self._at(fold.place)) for fold in self.folds), lambda turn, next: turn @ next)
-        widths = list(accumulate(abs(end - start) for start, end in self._layers))
-        stays = np.linalg.inv(turns[next(k for k, width in enumerate(widths) if width >= 0.5 * widths[-1])])
+        mirrors = [np.eye(3), *(_mirror(*self._at(fold.place)) for fold in self.folds)]
+        turns = list(accumulate(mirrors, np.matmul))
+        stays = np.linalg.inv(turns[len(self.folds) // 2])
 
         def cloth(layer: int, place: float) -> list[tuple[float, float]]:
             points = np.column_stack([self._at(place), np.ones(2)]) @ (stays @ turns[layer]).T
@@ -233,7 +234,9 @@ WORDS: dict[Pleats, Words] = {
 
 
 def _describe(setting: Setting, design: PleatedSkirtDesign) -> Description:
-    return Description(("pleated skirt",), (), (Detail(Zone.LOWER, WORDS[design.pleats], main=True),), tags=(Tag.PLEATED,))
+    return Description(
+        ("pleated skirt",), (), (Detail(Zone.LOWER, WORDS[design.pleats], main=True),), tags=(Tag.PLEATED,)
+    )
 
 
 PLEATED_SKIRT = BottomGarment(

@@ -230,7 +230,10 @@ def _folded(panels: _MeshedPanels, pattern: Pattern, folds: Float[np.ndarray, "k
         layers, layer = np.unique(beside, axis=0, return_inverse=True)
         middle = panels.uv[own].mean(axis=0)
         at = np.array([panels.uv[faces[layer == row]].mean(axis=(0, 1)) for row in range(len(layers))])
-        waiting = [int(np.argmin(np.linalg.norm(at - middle, axis=1)))]
+        areas = np.bincount(layer, np.abs(flat_areas(panels.uv[faces])))
+        odd = layers.sum(axis=1) % 2 == 1
+        seen = odd if areas[odd].sum() > areas[~odd].sum() else ~odd  # the larger part of the cloth lies right side out
+        waiting = [int(np.argmin(np.where(seen, np.linalg.norm(at - middle, axis=1), np.inf)))]
         turns = {waiting[0]: (np.eye(2), np.zeros(2))}
         facing = signed_area(panel.vertices[[edge.start for edge in panel.edges]])
         outwards = np.copysign(1.0, facing) * panel.placement.matrix[:, 2]
@@ -239,7 +242,8 @@ def _folded(panels: _MeshedPanels, pattern: Pattern, folds: Float[np.ndarray, "k
             row = waiting.pop()
             turn, shift = turns[row]
             points = np.unique(faces[layer == row])
-            next_to = [int(np.flatnonzero(other != layers[row])[0]) if (other != layers[row]).sum() == 1 else -1 for other in layers]
+            differ = layers != layers[row]
+            next_to = np.where(differ.sum(axis=1) == 1, differ.argmax(axis=1), -1).tolist()
             bounds = [k for k in next_to if k >= 0]
             apart = np.abs(np.einsum("nkd,kd->nk", panels.uv[points][:, None] - ends[bounds, 0], normals[bounds]))
             weights = 1.0 / np.maximum(apart, TOUCH)

@@ -140,7 +140,9 @@ def _divisions(walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]])
         for walked, shares in (*zip(left, shares_left, strict=True), *zip(right, shares_right, strict=True)):
             in_drawing_order = [1 - share for share in reversed(shares)] if walked.backward else shares
             if divisions.setdefault((walked.panel, walked.stroke), in_drawing_order) != in_drawing_order:
-                raise PatternError(f"panel {walked.panel}: a seam divides a stack of pleats: move the pleats or its ends")
+                raise PatternError(
+                    f"panel {walked.panel}: a seam divides a stack of pleats: move the pleats or its ends"
+                )
     return divisions
 
 

@@ -15,6 +15,7 @@ from gcd_dataset.generator.mesh.triangulate import flat_areas
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BoxMesh, Closure, InnerLine, Panel, Pattern
 from tests.generator.mesh.shapes import panel, rectangle, seam, sewn
+from tests.pleats import pleated_square
 
 WIDTH, HEIGHT = 40.0, 30.0
 
@@ -124,3 +125,24 @@ def test_lines_that_meet_the_outline_are_named() -> None:
     ):
         with pytest.raises(MeshError, match=r"panel a: a line near .* meets the outline or another line: part them"):
             build_box_mesh(sewn(lined(points, lines)), spacing=2.0)
+
+
+def test_a_pleat_starts_folded_in_three_layers_in_order() -> None:
+    """The cloth keeps its shape, and is as wide as the band; the mountain fold lies outside of the valley fold."""
+    mesh = build_box_mesh(pleated_square(), spacing=2.0)
+    own = mesh.panel_id == mesh.panel_names.index("skirt")
+    rows = np.unique(mesh.corners[own])
+    rows = rows[mesh.uv[rows, 1] < 11.0]
+    placed = mesh.vertices[mesh.uv_vertex[rows]]
+    assert np.isclose(np.ptp(placed[:, 0]), 12.0)
+    x, depth = mesh.uv[rows, 0], placed[:, 2] - 10.0
+    assert np.allclose(depth[x == 8.0], 0.5)
+    assert np.allclose(depth[x == 12.0], -0.5)
+    upper, under, lower = (depth[(x > low) & (x < low + 4.0)] for low in (4.0, 8.0, 12.0))
+    assert upper.min() >= under.max() - 1.0
+    assert lower.max() <= under.min() + 1.0
+    _, copies = np.unique(mesh.faces[:, [0, 1, 2]], axis=0, return_counts=True)
+    assert (copies == 1).all()
+    edges = mesh.uv_vertex[mesh.folds[:, :2].astype(int)]
+    assert sorted(set(mesh.folds[:, 2].tolist())) == [-180.0, 180.0]
+    assert (np.linalg.norm(np.diff(mesh.vertices[edges], axis=1)[:, 0], axis=1) < 2.5).all()
