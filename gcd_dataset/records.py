@@ -442,7 +442,7 @@ class BoxMesh(Record):
     """Edge label to the ids of the vertices on such edges."""
     folds: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Mesh edges along folds with a rest angle, and along layers sewn to each other: two rows of ``uv``, and the rest
-    angle [degrees]. Shards do not store them."""
+    angle [degrees]; shards leave them to ``meshedges.fold_edges``."""
 
     @property
     def n_seam_vertices(self) -> int:

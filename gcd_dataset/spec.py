@@ -10,7 +10,7 @@ the first side, ``closure``, and ``closed``, the joined part from and to, as sha
 Lines inside a panel are its list ``lines``: ``endpoints`` and ``curvature`` as of an edge, and ``role``. Seams of lines
 are in the list ``pattern.line_stitches``, which others ignore, too: ``sides``, each a panel and an ``edge`` or a
 ``line``, ``right_wrong``, and ``seam``, its position among all seams. In ``closures`` they are named by ``line``. A fold
-has its rest ``angle`` [degrees]; in a stack of pleats the further seams of an edge are in ``line_stitches``, too.
+has its rest ``angle`` [degrees]; the seams between layers of a pleat are in ``line_stitches``, too.
 
 >>> from gcd_dataset.records import Panel, Pattern, Placement, Edge
 >>> square = Panel("square", np.array([[0, 0], [9, 0], [9, 9], [0, 9]]), tuple(Edge(i, (i + 1) % 4) for i in range(4)),
@@ -133,12 +133,7 @@ def spec_from_pattern(pattern: Pattern) -> dict[str, Any]:
         for seam, sides in seams
         if not seam.is_plain
     ]
-    sewn, hidden = set[EdgeRef](), set[int]()
-    for number, (seam, sides) in enumerate(seams):
-        if _names_line(sides) or sewn & {seam.left, seam.right}:
-            hidden.add(number)
-        else:
-            sewn |= {seam.left, seam.right}
+    hidden = {number for number, (seam, sides) in enumerate(seams) if _names_line(sides) or pattern.layers(seam)}
     of_lines = [
         {"seam": number, "sides": sides, "right_wrong": seam.right_wrong}
         for number, (seam, sides) in enumerate(seams)

@@ -38,6 +38,7 @@ from gcd_dataset.generator.mesh.triangulate import (
     flat_areas,
     lattice_size,
 )
+from gcd_dataset.meshedges import fold_edges
 from gcd_dataset.records import BoxMesh, Closure, EdgeRef, Panel, Pattern, Seam
 
 SAMPLES = 17  # points of an edge, for the sign of a loop's area
@@ -125,8 +126,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
         raise MeshError(f"pattern {pattern.name} has no panels: there is nothing to mesh")
     panels = _mesh_panels(pattern, spacing)
     edges = panels.edges(pattern)
-    if len(folds := _folds(pattern, edges)):
-        panels = replace(panels, positions=_folded(panels, pattern, folds))
+    panels = replace(panels, positions=_folded(panels, pattern))
     sewn = stitch_points(pattern.seams, [(edges[seam.left], edges[seam.right]) for seam in pattern.seams])
     vertex = merge_points(sewn, panels.panel_of_point, pattern.seams)
     corners = _consistent_corners(panels, pattern)
@@ -145,7 +145,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
         panel_labels=tuple(panel.label for panel in pattern.panels),
         seams=np.stack([vertex[sewn.left], sewn.seam], axis=1),
         labels=_labels(pattern, edges, vertex),
-        folds=folds,
+        folds=fold_edges(pattern, panels.uv, corners, panels.panel_of_point[corners[:, 0]]),
     )
 
 
@@ -193,23 +193,7 @@ def _mesh_panels(pattern: Pattern, spacing: float) -> _MeshedPanels:
     )
 
 
-def _folds(pattern: Pattern, edges: Mapping[EdgeRef, Int[np.ndarray, " n"]]) -> Float[np.ndarray, "k 3"]:
-    """See ``BoxMesh.folds``."""
-    lines = {
-        EdgeRef(panel.name, index): line.angle
-        for panel in pattern.panels
-        for index, line in enumerate(panel.lines, len(panel.edges))
-        if line.angle
-    }
-    lines |= {seam.right: 180.0 for seam in pattern.seams if pattern.layers(seam)}
-    rows = [
-        np.stack([edges[ref][:-1], edges[ref][1:], np.full(len(edges[ref]) - 1, angle)], axis=1)
-        for ref, angle in lines.items()
-    ]
-    return np.concatenate([np.zeros((0, 3)), *rows])
-
-
-def _folded(panels: _MeshedPanels, pattern: Pattern, folds: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "c 3"]:
+def _folded(panels: _MeshedPanels, pattern: Pattern) -> Float[np.ndarray, "c 3"]:
     """The positions with all folds of more than 90° folded flat; of each panel the cloth nearest its middle stays.
 
     Heights above the panel's plane, on its right side: half of ``LAYERS`` at mountain folds, less at valley folds,

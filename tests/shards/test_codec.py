@@ -375,7 +375,7 @@ def test_lines_are_stored_where_there_are_any(sample: Sample) -> None:
     assert decode_pattern(stored_pattern(stored)).panels[0].lines == lined.lines
     plain = encode_sample(sample)
     assert "lines" not in unpack(plain["pattern.z"])
-    assert decode_fields(plain, ["lines"])["lines"].shape == (0, 16)
+    assert decode_fields(plain, ["lines"])["lines"].shape == (0, 17)
 
 
 def with_maps(sample: Sample, pressure: np.ndarray) -> Sample:
