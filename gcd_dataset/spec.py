@@ -9,8 +9,8 @@ the first side, ``closure``, and ``closed``, the joined part from and to, as sha
 
 Lines inside a panel are its list ``lines``: ``endpoints`` and ``curvature`` as of an edge, and ``role``. Seams of lines
 are in the list ``pattern.line_stitches``, which others ignore, too: ``sides``, each a panel and an ``edge`` or a
-``line``, ``right_wrong``, and ``seam``, its position among all seams. In ``closures`` they are named by ``line``. A fold
-has its rest ``angle`` [degrees]; the seams between layers of a pleat are in ``line_stitches``, too.
+``line``, ``right_wrong``, and ``seam``, its position among all seams. In ``closures`` they are named by ``line``. A
+fold has its rest ``angle`` [degrees]; the seams between layers of a pleat are in ``line_stitches``, too.
 
 >>> from gcd_dataset.records import Panel, Pattern, Placement, Edge
 >>> square = Panel("square", np.array([[0, 0], [9, 0], [9, 9], [0, 9]]), tuple(Edge(i, (i + 1) % 4) for i in range(4)),

@@ -106,7 +106,7 @@ class Folds:
 def folds_of(job: DrapeJob) -> Folds:
     """The folds of a garment with a rest angle.
 
-    A spring's rest length is the distance of its ends at the rest angle, its stiffness that of a crease with ``PRESSED``
+    A spring's rest length is the distance of its ends at the rest angle, its stiffness that of a crease, ``PRESSED``
     times the bending rigidity of a centimetre of cloth: k = B L / (h₁ h₂), for faces of heights h over an edge L.
     """
     mesh = job.box_mesh
@@ -117,7 +117,8 @@ def folds_of(job: DrapeJob) -> Folds:
         for pair, apex in (((a, b), c), ((b, c), a), ((c, a), b)):
             if (k := number.get(frozenset(pair))) is not None:
                 beside.setdefault(k, []).append(apex)
-    inner = [k for k, apexes in beside.items() if len(apexes) == 2]
+    vertex = mesh.uv_vertex
+    inner = [k for k, pair in beside.items() if len(pair) == 2 and vertex[pair[0]] != vertex[pair[1]]]
     across = np.array([beside[k] for k in inner], int).reshape(-1, 2)
     start, end = mesh.uv[rows[inner]].transpose(1, 0, 2)
     length = np.linalg.norm(end - start, axis=1)
@@ -127,10 +128,10 @@ def folds_of(job: DrapeJob) -> Folds:
     high, low = np.abs(out[..., 0] * along[:, None, 1] - out[..., 1] * along[:, None, 0]).T
     flat = high**2 + low**2 + 2.0 * high * low * np.cos(angles[inner])
     rest = np.sqrt(np.maximum(flat, 0.0) + (at[:, 0] - at[:, 1]) ** 2 + FOLDED_GAP**2)
-    apexes = mesh.uv_vertex[across]
+    apexes = vertex[across]
     now = np.linalg.norm(np.subtract(*mesh.vertices[apexes].transpose(1, 0, 2)), axis=1)
     stiffness = PRESSED * job.fabric.bend.weft * DYNE_CM * length / np.maximum(high * low, 1e-6)
-    return Folds(mesh.uv_vertex[rows], apexes, np.stack([stiffness, rest, now], axis=1))
+    return Folds(vertex[rows], apexes, np.stack([stiffness, rest, now], axis=1))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.curves import LINE
+from gcd_dataset.curves import LINE, Point
 from gcd_dataset.generator.garments.description import Description, Detail, Setting, Tag, Words, Zone
 from gcd_dataset.generator.garments.garment import BottomGarment, Cutting
 from gcd_dataset.generator.garments.gathered_skirt import BACK, FRONT
@@ -187,9 +187,10 @@ class PleatedPanel:
         turns = list(accumulate(mirrors, np.matmul))
         stays = np.linalg.inv(turns[len(self.folds) // 2])
 
-        def cloth(layer: int, place: float) -> list[tuple[float, float]]:
+        def cloth(layer: int, place: float) -> tuple[Point, Point]:
             points = np.column_stack([self._at(place), np.ones(2)]) @ (stays @ turns[layer]).T
-            return [(float(x), float(y)) for x, y, _ in points]
+            (x0, y0, _), (x1, y1, _) = points.tolist()
+            return (x0, y0), (x1, y1)
 
         last = len(self._layers) - 1
         outline = Outline.start(*cloth(0, 0.0)[1])
