@@ -1,4 +1,4 @@
-"""The pleated skirt, which GarmentCode lacks: knife, box or inverted pleats. Panels ``pleat_front`` and ``pleat_back``.
+"""The pleated skirt, which GarmentCode lacks: knife, box or inverted pleats. Panels ``skirt_front`` and ``skirt_back``.
 
 A panel is drawn folded, as a ring sector from waist to hem, and unfolded by reflections in its folds: so its layers lie
 on each other exactly, and its top is a zigzag, as if folded paper were cut along the waist. Along the top a pleat lies
@@ -94,7 +94,7 @@ def pleated_skirt(size: Measurements, design: PleatedSkirtDesign, cutting: Cutti
     back_width = girth * back_share(size, rise)
     wider = _hem(size, design, rise, length) / girth
     panels = [
-        PleatedPanel(f"pleat_{side}{cutting.suffix}", width, wider * width, length, folds_of(design))
+        PleatedPanel(f"skirt_{side}{cutting.suffix}", width, wider * width, length, folds_of(design))
         for side, width in (("front", girth - back_width), ("back", back_width))
     ]
     front, back = (panel.piece.at(0, size.waist_level, z) for panel, z in zip(panels, (FRONT, BACK), strict=True))
