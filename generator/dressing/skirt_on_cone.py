@@ -19,7 +19,6 @@ HALF_WIDTH = 60.0  # cm: a skirt that reaches further to a side of the middle st
 SLOPE = 0.5  # cm of descent per cm of distance from a flat panel's top, at least: 60° from the vertical
 TOP_BAND = 2.0  # cm, distance from the nearest vertex of a panel within which vertices count as its top
 CLEARANCE = 2.0  # cm from the ellipse round the trunk to the top of the cone
-PARTED = 8.0  # cm below the top, where folded layers start at their full distance
 HIPS = 30.0  # cm below the skirt's top: down to here the ellipse contains the trunk, and the waves grow
 SINES = (0.15, 0.6)  # least and largest sine of the angle between the cone and its axis
 WAVE, WAVES = 0.4, 17.0  # amplitude of small waves that start the folds [cm], and their number round the cone
@@ -130,9 +129,7 @@ class Skirt:
         front = self.front[rows]
         forward, aside = np.where(front, 1.0, -1.0), np.isin(rows, self.side) | np.isin(rows, self.top)
         for own in (front & ~aside, ~front & ~aside):
-            # In proportion to the distance from the top, where all layers meet: so they stay in order between vertices.
-            part = np.minimum(self._down[rows[own]] / PARTED, 1.0)
-            out[own] += part * forward[own] * (z[own] - np.median(z[own]))
+            out[own] += forward[own] * (z[own] - np.median(z[own]))
         placed[rows, 0] = trunk.origin[0] + (trunk.wide + out) * np.sin(turn)
         placed[rows, 2] = trunk.origin[2] + forward * (trunk.deep + out) * np.cos(turn)
         below = ~np.isin(rows, self.top)
