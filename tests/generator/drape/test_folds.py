@@ -17,7 +17,7 @@ from tests.generator.drape.garments import neutral
 def test_pleats_stay_pressed(pleats: str) -> None:
     """The layers lie near each other along the folds, and few of their edges pass through another layer."""
     body, size = neutral()
-    section = {"pleats": pleats, "count": 2, "length": 0.1}
+    section = {"pleats": pleats, "count": 3, "length": 0.1}
     design = design_from_dict({"meta": {"bottom": "PleatedSkirt", "wb": "StraightWB"}, "pleated-skirt": section})
     mesh = build_box_mesh(draw_garment(size, design), spacing=3.0)
     job = DrapeJob(mesh, body, size)
