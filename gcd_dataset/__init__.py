@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         Panel,
         Pattern,
         Placement,
+        Pose,
         Sample,
         Seam,
     )
@@ -51,6 +52,7 @@ __all__ = [
     "Panel",
     "Pattern",
     "Placement",
+    "Pose",
     "Progress",
     "ProgressCallback",
     "Sample",

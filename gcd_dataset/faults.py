@@ -346,8 +346,10 @@ def _line_faults(panel: Panel) -> Iterator[Fault]:
             length = curve_length(*ends, line.curve)
         except (IndexError, PatternError):
             length = 0.0
-        if min(line.start, line.end) < 0 or not length:
-            figure = f"line {number}, from vertex {line.start} to {line.end}: correct its ends and its curve"
+        figure = f"line {number}, from vertex {line.start} to {line.end}: correct its ends and its curve"
+        if is_drawn := min(line.start, line.end) >= 0 and length > 0:
+            figure = f"line {number} has role {shown(line.role)}: give one of {', '.join(LineRole)}"
+        if not is_drawn or line.role not in tuple(LineRole):
             yield Fault(Rule.LINE, panel.name, None, figure)
             continue
         drawn.append((number, line, shapely.LineString(sample_curve(*ends, line.curve, LINE_POINTS))))

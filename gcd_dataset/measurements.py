@@ -209,11 +209,12 @@ class Measurements:
         return self
 
     def require_parts(self) -> Self:
-        """These measurements. Raises ``BodyError`` where the parts of a measure in ``PARTS`` are not less than it."""
+        """These measurements. Raises ``BodyError`` where ``PARTS`` are negative, or not less than their whole."""
         for whole, names in PARTS:
-            length, total = getattr(self, whole), sum(getattr(self, name) for name in names)
-            if total <= 0 or total >= length:
-                figures = f"{' + '.join(names)} is {total:.1f} cm, and {whole} is {length:.1f} cm"
+            length, parts = getattr(self, whole), [getattr(self, name) for name in names]
+            if min(parts) < 0 or sum(parts) <= 0 or sum(parts) >= length:
+                figures = f"{' + '.join(names)} is {' + '.join(f'{part:.1f}' for part in parts)} cm"
+                figures += f", and {whole} is {length:.1f} cm"
                 raise BodyError(f"{figures}: parts are less than the whole, so correct these measures")
         return self
 

@@ -6,7 +6,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from gcd_dataset.records import BoxMesh, Drape, EdgeRef, Layer, Outcome, Pattern, Sample
+from gcd_dataset.records import BoxMesh, Drape, EdgeRef, Outcome, Pattern, Sample
 
 __all__ = ["apart", "joined", "joined_drape", "joined_mesh", "joined_pattern", "worn_panel"]
 
@@ -25,7 +25,7 @@ def apart(sample: Sample) -> list[Sample]:
 def joined(sample: Sample) -> Sample:
     """The sample with its outfit as one garment of all panels, which are named by ``worn_panel``.
 
-    The drape has the first outcome other than ``SETTLED``, and the crossings of all garments, also with each other.
+    The drape has the first outcome other than ``SETTLED``, and the crossings of all garments.
     Maps, which only the first garment has, are left out. A sample without an outfit stays as it is.
     """
     if sample.outfit is None:
@@ -39,7 +39,7 @@ def joined(sample: Sample) -> Sample:
         box_mesh=joined_mesh(meshes, [len(g.pattern.seams) for g in garments])
         if len(meshes) == len(garments)
         else None,
-        drape=joined_drape(drapes, sample.outfit.layers) if len(drapes) == len(garments) else None,
+        drape=joined_drape(drapes) if len(drapes) == len(garments) else None,
         maps=None,
         outfit=None,
     )
@@ -101,13 +101,13 @@ def _starts(counts: Iterable[int]) -> list[int]:
     return list(accumulate(counts, initial=0))[:-1]
 
 
-def joined_drape(drapes: Sequence[Drape], layers: Sequence[Layer]) -> Drape:
+def joined_drape(drapes: Sequence[Drape]) -> Drape:
     """The drapes of garments as one drape."""
     return replace(
         drapes[0],
         vertices=np.concatenate([drape.vertices for drape in drapes]),
         outcome=next((drape.outcome for drape in drapes if drape.outcome is not Outcome.SETTLED), Outcome.SETTLED),
-        self_crossings=sum(drape.self_crossings for drape in drapes) + sum(layer.crossings for layer in layers),
+        self_crossings=sum(drape.self_crossings for drape in drapes),
         body_crossings=sum(drape.body_crossings for drape in drapes),
         body_through=sum(counts) if min(counts := [drape.body_through for drape in drapes]) >= 0 else -1,
         strain=None,

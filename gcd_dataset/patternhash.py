@@ -9,9 +9,10 @@ effect on the hash; ``agrees`` accepts the hash of a machine that rounded a tie 
 
 The hash of a pattern covers: its index; names and labels of panels, labels of edges; each panel's centroid in space,
 rotation, centroid in its own coordinates and number of edges; each edge's panel, start, kind and control points, for an
-arc its midpoint, side and large flag; the same, end and role of each line; the stitches. Two kinds of ``PatternTensor``
-columns are left out, since they follow from the others with larger rounding errors: Euler angles of rotations, which
-are not unique, and radii of arcs, which are unbounded for nearly straight arcs.
+arc its midpoint, side and large flag; the same, end and role of each line; the stitches; for an outfit, those of each
+further garment, from the skin outwards. Two kinds of ``PatternTensor`` columns are left out, since they follow from the
+others with larger rounding errors: Euler angles of rotations, which are not unique, and radii of arcs, which are
+unbounded for nearly straight arcs.
 
 The hash of many patterns is the sum of their hashes modulo 2^256 (AdHash; Bellare and Micciancio, 1997), so it does not
 depend on their order. It identifies a data set, but gives no security against forgery.
@@ -70,12 +71,12 @@ class PatternHash:
     """Number of patterns."""
 
     @classmethod
-    def of(cls, patterns: Iterable[tuple[int, PatternTensor]]) -> Self:
-        """The hash of (index, pattern) pairs. Raises ``PatternError``."""
+    def of(cls, patterns: Iterable[tuple[int, *tuple[PatternTensor, ...]]]) -> Self:
+        """The hash of indices, each with its pattern, or those of its outfit. Raises ``PatternError``."""
         value, count = 0, 0
         ties: list[int] = []
-        for index, tensor in patterns:
-            one = hash_pattern(index, tensor)
+        for index, *garments in patterns:
+            one = hash_pattern(index, *garments)
             value, count = (value + one.value) % MODULUS, count + one.count
             ties += one.ties
         return cls(value, tuple(ties), count)
@@ -101,23 +102,26 @@ class PatternHash:
         return any((missing - tie) % MODULUS in one for tie in one)
 
 
-def hash_pattern(index: int, tensor: PatternTensor) -> PatternHash:
-    """The hash of the pattern of sample ``index``. Raises ``PatternError`` for NaN or numbers beyond 1e11 cm."""
-    steps = np.concatenate(
-        [
+def hash_pattern(index: int, *garments: PatternTensor) -> PatternHash:
+    """The hash of the pattern of sample ``index``, or of the patterns of its outfit, from the skin outwards.
+
+    Raises ``PatternError`` for NaN or numbers beyond 1e11 cm.
+    """
+    words, rows = list[object]([index]), list[np.ndarray]()
+    for tensor in garments:
+        words += [tensor.panel_names, tensor.panel_labels, tensor.edge_labels, tensor.stitches.tolist()]
+        rows += [
             tensor.panels[:, PANEL_COLUMNS].ravel(),
             _with_leading_sign(tensor.panels[:, QUATERNION]).ravel(),
             tensor.edges[:, EDGE_COLUMNS].ravel(),
             tensor.lines[:, LINE_COLUMNS].ravel(),
             tensor.lines[tensor.lines[:, LineColumn.ANGLE] != 0.0, LineColumn.ANGLE],
         ]
-    ).astype(float)
-    steps /= STEP
+    steps = np.concatenate(rows).astype(float) / STEP
     if not (np.abs(steps) < LARGEST).all():  # false for NaN, too
         raise PatternError(
-            f"pattern {tensor.name}: a number is NaN or beyond {LARGEST * STEP:g} cm: correct the pattern"
+            f"pattern {garments[0].name}: a number is NaN or beyond {LARGEST * STEP:g} cm: correct the pattern"
         )
-    words = [index, tensor.panel_names, tensor.panel_labels, tensor.edge_labels, tensor.stitches.tolist()]
     head = hashlib.sha256(json.dumps(words, separators=(",", ":")).encode())
     whole = np.rint(steps).astype(np.int64)
     value = _digest(head, whole)

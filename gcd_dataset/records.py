@@ -115,6 +115,17 @@ class BodyShape(Record):
     """Whether the feet are set apart, as trousers need; otherwise the legs are straight."""
 
 
+@dataclass(frozen=True)
+class Pose:
+    """Rotations of bones from the A-pose; bones without one stay as they are."""
+
+    turns: Mapping[str, tuple[float, float, float]]
+    """Bone to bend, spread and twist: a rotation vector in the axes of the bone, which turns relative to its parent
+    [rad]. Bend moves the tip of the bone forward, spread away from the middle of the body, twist turns its front
+    outwards; of the trunk, bend is forward, spread and twist are to its left. Bones: ``generator.body.pose.BONES``."""
+    name: str = "pose"
+
+
 @dataclass(frozen=True, eq=False)
 class Body(Record):
     """A body mesh with part labels; its soles are at y = 0."""
@@ -526,7 +537,7 @@ class Drape(Record):
     self_crossings: int
     """Number of cloth edges that cross a cloth triangle."""
     body_crossings: int
-    """Number of cloth edges that cross the body."""
+    """Number of cloth edges that cross the body, or a garment of the outfit under this one."""
     stretch_median: float
     """Median of length / flat length over the mesh edges; 1 is unstretched."""
     stretch_p99: float
@@ -534,7 +545,7 @@ class Drape(Record):
     strain: Strain | None = None
     """Principal stretches; ``None`` if not measured."""
     body_through: int = 0
-    """Number of body edges that cross the cloth; -1 where not counted: older versions, published data."""
+    """Number of edges of these that cross the cloth; -1 where not counted: older versions, published data."""
     reason: str = field(default="", compare=False)
     """Where a garment lies that slid off or fell, with heights [cm], or why it was refused; not stored in data sets."""
 

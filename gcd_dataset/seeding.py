@@ -30,6 +30,7 @@ class Stage(IntEnum):
     SKETCH = 14
     MISFIT = 15
     OUTFIT = 16
+    POSE = 17
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_body
+    from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_body, named_pose, pose_body
     from gcd_dataset.generator.body.by_name import make_person
     from gcd_dataset.generator.body.sizes import SizeChart, read_chart
     from gcd_dataset.generator.drape import (
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         Fabric,
         drape_all,
         drape_batch,
+        drape_motion,
         drape_outfit,
         fabric_named,
         layers_of,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
     from gcd_dataset.generator.pipeline import build_pattern, fit, grade
     from gcd_dataset.generator.recipe import MakeConfig
+    from gcd_dataset.generator.standing import draw_pose
 
 __all__ = [
     "DrapeConfig",
@@ -48,7 +50,9 @@ __all__ = [
     "drape_all",
     "drape_batch",
     "drape_jacobian",
+    "drape_motion",
     "drape_outfit",
+    "draw_pose",
     "draw_shape",
     "ease_of",
     "fabric_named",
@@ -61,6 +65,8 @@ __all__ = [
     "maps_of",
     "measure",
     "named_body",
+    "named_pose",
+    "pose_body",
     "produce",
     "read_chart",
     "read_design",

@@ -20,6 +20,7 @@ from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError, SpecError
 from gcd_dataset.faults import Severity, require_valid
 from gcd_dataset.files import make_folder, safe_name, write_whole
+from gcd_dataset.generator.body.pose import pose_body, pose_degrees
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, drape_outfit
 from gcd_dataset.generator.drapers import DrapeReply
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
@@ -31,7 +32,7 @@ from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, Reject, 
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.outfits import is_tucked, order_fault, worn_outfit
 from gcd_dataset.generator.pipeline import build_pattern
-from gcd_dataset.generator.render import render_garment
+from gcd_dataset.generator.render.plain import garment_scene, start_plain
 from gcd_dataset.generator.sized import Cut, lifted
 from gcd_dataset.generator.svg import nest_svg, pattern_svg
 from gcd_dataset.outfits import joined_drape, joined_mesh, joined_pattern
@@ -47,6 +48,7 @@ from gcd_dataset.records import (
     Outcome,
     Outfit,
     Pattern,
+    Pose,
     WornGarment,
 )
 from gcd_dataset.release.published_names import ENDINGS
@@ -221,16 +223,18 @@ def drape_patterns(
     resolution: float = 1.0,
     device: str = "auto",
     maps: bool = False,
+    pose: Pose | None = None,
 ) -> Iterator[Fitting | Refusal]:
     """Drape each pattern on a body, in batches as large as suits the device; yields the fittings in order.
 
     ``wearer(legs_apart)`` returns the body and its measures; legs are apart for garments with legs, so that the thighs
     do not touch. Values missing from a file are assumed (see ``dress``), logged and recorded in the ``Fitting``.
-    ``resolution`` is the length of mesh edges [cm]; ``maps``: compute ``Fitting.maps``. A pattern that cannot be placed
-    or meshed costs no other: it yields a ``Refusal``, as do those of ``read_patterns``. Raises ``BodyError`` for an
-    unusable body, ``ConfigError`` for a missing device.
+    ``resolution`` is the length of mesh edges [cm]; ``maps``: compute ``Fitting.maps``; ``pose``: the body moves to it
+    once the garment is at rest, and the fitting has no ease, which belongs to the A-pose. A pattern that cannot be
+    placed or meshed costs no other: it yields a ``Refusal``, as do those of ``read_patterns``. Raises ``BodyError`` for
+    an unusable body, ``ConfigError`` for a missing device.
     """
-    work = (_work(pattern, wearer, fabric, resolution, maps=maps) for pattern in patterns)
+    work = (_work(pattern, wearer, fabric, resolution, maps=maps, pose=pose) for pattern in patterns)
     with LocalDraper(device) as draper:
         yield from in_order(work, draper, ahead=draper.at_once, at_once=draper.at_once)
 
@@ -242,6 +246,7 @@ def _work(
     resolution: float,
     *,
     maps: bool,
+    pose: Pose | None,
 ) -> DrapeWork[Fitting | Refusal]:
     """The drape job of a pattern, and the function that makes a ``Fitting`` of the reply; without a job a refusal."""
     if isinstance(pattern, Refusal):
@@ -251,7 +256,7 @@ def _work(
         start = time.perf_counter()
         mesh = build_box_mesh(dressing.pattern, spacing=resolution)
         seconds = time.perf_counter() - start
-        job = DrapeJob(mesh, body, size, fabric)
+        job = DrapeJob(mesh, body, size, fabric, pose=pose)
         job.require_drapeable()
     except (PatternError, MeshError, DrapeError) as error:
         refusal = Refusal(pattern.name, str(error))
@@ -260,8 +265,9 @@ def _work(
     def finish(replies: Sequence[DrapeReply]) -> Fitting:
         [reply] = replies
         drape = reply.drape
-        ease = ease_of(dressing.pattern, mesh, body, size, drape.vertices)
-        return Fitting(dressing.pattern, body, dressing.assumed, mesh, drape, ease, seconds, reply.seconds, reply.maps)
+        ease = {} if pose else ease_of(dressing.pattern, mesh, body, size, drape.vertices)
+        posed = pose_body(body, pose) if pose else body
+        return Fitting(dressing.pattern, posed, dressing.assumed, mesh, drape, ease, seconds, reply.seconds, reply.maps)
 
     return DrapeWork([job], finish, maps=maps)
 
@@ -292,8 +298,8 @@ def drape_together(
     between = time.perf_counter()
     tucked = [*(is_tucked(inner, outer, size) for inner, outer in itertools.pairwise(placed)), False]
     jobs = [
-        DrapeJob(mesh, body, size, fabric, tucked_below=size.waist_level if inside else -math.inf)
-        for mesh, inside in zip(meshes, tucked, strict=True)
+        DrapeJob(mesh, body, size, fabric, tucked_below=outer.vertices[:, 1].max() if inside else -math.inf)
+        for mesh, outer, inside in zip(meshes, [*meshes[1:], meshes[0]], tucked, strict=True)
     ]
     drapes = drape_outfit(jobs, device=device)
     seconds = (between - start) / len(jobs), (time.perf_counter() - between) / len(jobs)
@@ -315,7 +321,7 @@ def drape_together(
     ]
     outfit = worn_outfit(garments, body)
     pattern = replace(joined_pattern(placed), name="outfit")
-    mesh, drape = joined_mesh(meshes, [len(one.seams) for one in placed]), joined_drape(drapes, outfit.layers)
+    mesh, drape = joined_mesh(meshes, [len(one.seams) for one in placed]), joined_drape(drapes)
     return fittings, Fitting(pattern, body, (), mesh, drape, {}, *seconds, outfit=outfit)
 
 
@@ -343,8 +349,9 @@ def write_fitting(fitting: Fitting, folder: Path, *, glb: bool = False, device: 
 
     name, mesh, vertices = safe_name(fitting.pattern.name), fitting.box_mesh, fitting.drape.vertices
     make_folder(folder)
-    front, back = render_garment(vertices, mesh, fitting.body, size=PICTURE_SIZE, device=device)
-    for side, picture in {"front": front, "back": back, "pattern": draw_pattern(fitting.pattern)}.items():
+    scene, sides = garment_scene(vertices, mesh, fitting.body), ("front", "side", "back")
+    pictures = start_plain([scene], size=PICTURE_SIZE, sides=sides, device=device).lend_rgb()
+    for side, picture in zip((*sides, "pattern"), (*pictures, draw_pattern(fitting.pattern)), strict=True):
         write_whole(folder / f"{name}_{side}.png", png_bytes(picture))
     if fitting.maps is not None:
         content, maps = io.BytesIO(), fitting.maps
@@ -368,6 +375,7 @@ def write_report(
     device: str,
     fits: Iterable[Fit | None] = repeat(None),
     layers: Sequence[Layer] = (),
+    pose: Pose | None = None,
 ) -> None:
     """Write a JSON report: the settings, and the result of each file. Raises ``OutputError``.
 
@@ -379,6 +387,7 @@ def write_report(
         "machine": platform.processor() or platform.machine(),
         "device": device,
         "body": body,
+        **({"pose": pose_degrees(pose)} if pose else {}),
         "fabric": fabric,
         "resolution_cm": resolution,
         "garments": [

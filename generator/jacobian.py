@@ -137,6 +137,13 @@ def moved(design: GarmentDesign, by: Mapping[str, float]) -> GarmentDesign:
     return design_from_dict(tree)
 
 
+def moves_between(one: GarmentDesign, other: GarmentDesign, paths: Sequence[str]) -> Float[np.ndarray, " d"]:
+    """From one design to another: differences of real parameters, in shares of their ranges."""
+    trees, ranges = [design_to_dict(each) for each in (one, other)], [_reals()[path].range for path in paths]
+    before, after = ([value_at(tree, path) for path in paths] for tree in trees)
+    return np.array([(b - a) / (high - low) for a, b, (low, high) in zip(before, after, ranges, strict=True)])
+
+
 def choices_of(design: GarmentDesign) -> str:
     """The same text for designs that differ in real parameters alone."""
     tree = design_to_dict(design)

@@ -196,7 +196,8 @@ class _Pending(Generic[Made]):
         maps = config.maps and not under
         if not (self.pictured and design.is_outermost):
             return DrapeWork(jobs, finished, maps=maps)
-        return DrapeWork(jobs, finished, config.picture, view_requests(design, config), maps, shown_under(design))
+        under_jobs = shown_under(design) if jobs else ()
+        return DrapeWork(jobs, finished, config.picture, view_requests(design, config), maps, under_jobs)
 
     def _finish(self, index: int, design: DressedDesign, replies: Sequence[DrapeReply]) -> int | DrapeWork[int]:
         """Finish the requested samples of a design; return the next attempt if a drape failed, or the next garment."""

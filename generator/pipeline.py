@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.captions import caption_text, outfit_captions
-from gcd_dataset.errors import BodyError, ConfigError, MeshError, PatternError, shown
+from gcd_dataset.errors import BodyError, ConfigError, DrapeError, MeshError, PatternError, shown
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.body.sizes import SizeChart
@@ -375,6 +375,7 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
             sample_fabric(design.seed, own_number(wearer.index, len(design.under)), config.fabric),
             wearer.coarse,
             wearer.start,
+            # The next garment is not drawn yet; every bottom that is drawn ends at the waist.
             wearer.size.waist_level if design.worn.tucked else -math.inf,
             wearer.under,
         )
@@ -386,12 +387,14 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
 def all_replies(design: DressedDesign, replies: Sequence["DrapeReply"], config: MakeConfig) -> tuple["DrapeReply", ...]:
     """The replies to ``drape_jobs``, and one with ``CANNOT_BE_PUT_ON`` for each other wearer, in their order.
 
-    A garment over one that did not settle is ``REFUSED``.
+    A garment over one that did not settle is ``REFUSED``. Raises ``DrapeError`` for a reply without the maps asked for.
     """
     if config.stage != "drape":
         return ()
     from gcd_dataset.generator.drapers import DrapeReply
 
+    if config.maps and not design.under and any(reply.maps is None for reply in replies):
+        raise DrapeError("the draper made no maps: reply with maps_of where DrapeRequest.maps is set, or make none")
     draped = iter(replies)
     return tuple(
         next(draped)

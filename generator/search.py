@@ -4,8 +4,9 @@ Proposed designs are draped at once. The nearest to the target are refined: ``dr
 their real parameters to their drape, which Gauss-Newton steps bring onto the target, and the next map is made at the
 nearest of these. Choices, such as the kind of a sleeve, stay those of the proposal. Patterns that differ by
 millimetres fold in different ways, and their drapes lie some millimetres apart: so the choices of the first proposal,
-the likeliest, give way to others only for a clearly nearer drape, and neighbours that happen to fold as the target does
-count in the last rounds alone, where they differ little.
+the likeliest, give way to others only for a clearly nearer drape, real parameters that a drape hardly shows stay near
+those proposed, and neighbours that happen to fold as the target does count in the last rounds alone, where they differ
+little.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -29,6 +30,7 @@ from gcd_dataset.generator.jacobian import (
     choices_of,
     drape_jacobian,
     moved,
+    moves_between,
     nearest_on,
     real_parameters,
 )
@@ -45,7 +47,9 @@ SHARES = (1.0, 0.5, 0.25)  # of the change that brings the linear map onto the s
 REACH = 2.0  # steps that a parameter may move in a round
 INNER = 12  # Gauss-Newton steps on a linear map
 SURE = 1.0  # cm: distances beyond count with their square root, since other folds lie there
-PRIOR = 0.02  # weight of a parameter's step beside the mean of its curvatures
+FOLDS = 0.4  # cm: how far drapes of nearly the same pattern lie apart
+PROPOSED = 0.03  # of a range: standard deviation of proposed parameters
+INDEPENDENT = 15  # independent distances among those of a drape, since whole folds differ
 PLANE = 1.5  # spacings of the scan's points within which it is a plane
 AT_ONCE = 8  # designs or drapes of a task of a worker
 
@@ -63,8 +67,11 @@ class Target(Protocol):
     def distances(self, drapes: "Sequence[Draped]", mapped: Mapped) -> list[float]:
         """How far each drape is from it."""
 
-    def change(self, jacobian: DrapeJacobian, step: float) -> Float[np.ndarray, " d"]:
-        """The change of the parameters, in shares of their ranges, that brings the linear map onto it."""
+    def change(self, jacobian: DrapeJacobian, step: float, offset: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+        """The change of the parameters, in shares of their ranges, that brings the linear map onto it.
+
+        ``offset``: how far they are from the proposal already.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +106,7 @@ class ScanPoints:
             ways.append(np.linalg.norm(self._apart(vertices)[0], axis=1).mean())
         return float(np.mean(ways))
 
-    def change(self, jacobian: DrapeJacobian, step: float) -> Float[np.ndarray, " d"]:
+    def change(self, jacobian: DrapeJacobian, step: float, offset: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
         """The change of the parameters, in shares of their ranges, that brings the linear map onto the scan."""
         faces, derivatives, some = jacobian.worn.job.box_mesh.faces, jacobian.derivatives, self.points[:SAMPLES]
 
@@ -115,7 +122,7 @@ class ScanPoints:
                 residuals, ways = _directed(apart, self.normals[near])
                 yield residuals, np.einsum("dni,ni->dn", derivatives, ways), len(some) / len(place)
 
-        return gauss_newton(rows, len(derivatives), step)
+        return gauss_newton(rows, step, offset)
 
     def _apart(self, places: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
         """From the surface to each place, and the scan's nearest point; the surface is a plane near its points."""
@@ -157,6 +164,7 @@ def search(
     with nullcontext(workers) if isinstance(workers, Pool) or workers < 2 else process_pool(workers) as pool:
         work = _Search(target, wearer, pairs, resolution, device, pool)
         best = _of_each_choice(work.draped(designs), likeliest)
+        work.proposed |= {choices_of(design): design for design in reversed(designs)} if ranked else {}
         if not best:
             raise DrapeError("none of the proposed designs can be drawn, meshed and draped on this body")
         for number, (count, step) in enumerate(rounds):
@@ -177,6 +185,8 @@ class _Search:
     pool: int | Pool
     names: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """The real parameters of designs with the same choices."""
+    proposed: dict[str, GarmentDesign] = field(default_factory=dict)
+    """The first proposal of each set of choices."""
 
     @cached_property
     def fittings(self) -> tuple[Fitting, Fitting]:
@@ -216,7 +226,8 @@ class _Search:
             )  # fmt: skip
         except DrapeError:
             return [start]
-        change = dict(zip(names, self.target.change(found, step).tolist(), strict=True))
+        offset = moves_between(self.proposed.get(choices, design), design, names)
+        change = dict(zip(names, self.target.change(found, step, offset).tolist(), strict=True))
         tried = [moved(design, {name: share * by for name, by in change.items()}) for share in SHARES]
         neighbours = self.compared(found.fitted) if step <= FINE else []
         return [start, *neighbours, *self.draped(tried)]
@@ -244,18 +255,23 @@ def _of_each_choice(found: Iterable[Found], likeliest: str) -> list[Found]:
 
 
 def gauss_newton(
-    rows: Callable[[Float[np.ndarray, " d"]], Iterable[Residuals]], count: int, step: float
+    rows: Callable[[Float[np.ndarray, " d"]], Iterable[Residuals]], step: float, offset: Float[np.ndarray, " d"]
 ) -> Float[np.ndarray, " d"]:
-    """The change of ``count`` parameters, at most ``REACH * step``, that makes the residuals small."""
-    change = np.zeros(count)
+    """The likeliest change of parameters, at most ``REACH * step``: residuals are small, and proposals nearly right.
+
+    ``offset``: how far the parameters are from the proposal. Deviations are normal: of parameters by ``PROPOSED``, of
+    ``INDEPENDENT`` residuals by ``FOLDS``.
+    """
+    change, count = np.zeros(len(offset)), len(offset)
     for _ in range(INNER):
-        curvature, slope = np.zeros((count, count)), np.zeros(count)
+        curvature, slope, total = np.zeros((count, count)), np.zeros(count), 0.0
         for residuals, jac, share in rows(change):
             weights = share / np.maximum(np.abs(residuals), SURE)
             curvature += (jac * weights) @ jac.T
             slope += (jac * weights) @ residuals
-        prior = max(PRIOR * np.trace(curvature) / count, 1e-9)  # of parameters that move no outline
-        shift = np.linalg.solve(curvature + prior * np.eye(count), -slope - prior * change)
+            total += share * len(residuals)
+        prior = max(total, 1.0) / INDEPENDENT * (FOLDS / PROPOSED) ** 2
+        shift = np.linalg.solve(curvature + prior * np.eye(count), -slope - prior * (offset + change))
         change = np.clip(change + shift, -REACH * step, REACH * step)
     return change
 

@@ -91,7 +91,7 @@ class Silhouettes:
             )
         return apart
 
-    def change(self, jacobian: DrapeJacobian, step: float) -> Float[np.ndarray, " d"]:
+    def change(self, jacobian: DrapeJacobian, step: float, offset: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
         """The change of the parameters that brings the outlines of the linear map onto those of the pictures."""
         job, derivatives = jacobian.worn.job, jacobian.derivatives
 
@@ -100,7 +100,7 @@ class Silhouettes:
             for row, image in enumerate(self._images(job.box_mesh, place, job.body)):
                 yield from _residuals(image, derivatives, self.shown[row], *self._outlines[row])
 
-        return gauss_newton(rows, len(derivatives), step)
+        return gauss_newton(rows, step, offset)
 
     def beside(self, mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"], body: Body) -> UInt8[np.ndarray, "h w 3"]:
         """The pictures; below each the drape, seen by its camera, with the outline of the picture's garment."""

@@ -509,7 +509,7 @@ def _require_same_fields(items: Sequence[Item]) -> None:
             )
         if item.keys() != items[0].keys():
             odd = ", ".join(sorted(item.keys() ^ items[0].keys()))
-            raise ConfigError(f"only some garments of the batch have {odd}: choose the same fields for all")
+            raise ConfigError(f"only some garments of the batch have {odd}: choose the same fields, or OutfitCloth")
 
 
 def _require_same_type(values: Sequence[Tensor], field: str) -> None:

@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,18 +20,22 @@ from gcd_dataset.records import (
     Drape,
     Edge,
     EdgeRef,
+    Layer,
     Measurements,
+    NamedFabric,
     Outcome,
+    Outfit,
     Panel,
     Pattern,
     Placement,
     Provenance,
     Sample,
     Seam,
+    WornGarment,
 )
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.shards.layout import Bytes, key_of
+from gcd_dataset.shards.layout import MOST_GARMENTS, Bytes, fields_of, garments_layout, key_of
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
 
 LABEL = "lower_interface"  # the label of a skirt's upper edge; a drape holds it at the waist
@@ -42,6 +46,8 @@ PICTURE = 16  # pixels
 
 class FakeGarments(Garments):
     """``n`` valid garments of about a hundred vertices, with all fields of ``GarmentDataset``.
+
+    ``garments``: of the largest outfit; from 2 on, items are outfits of 2 to so many, with fields ``g1_verts``, ….
 
     >>> ds = FakeGarments(3, fields=("faces", "measures"))
     >>> ds[0]["faces"].shape[1], sorted(ds[0]["measures"])
@@ -55,9 +61,12 @@ class FakeGarments(Garments):
         *,
         fields: Iterable[str] | None = None,
         transform: Transform | None = None,
+        garments: int = 1,
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        super().__init__(fields, transform, dtype=dtype)
+        self._most = require_integer("garments", garments, least=1, most=MOST_GARMENTS)
+        available = fields_of(garments_layout(garments=self._most).members)
+        super().__init__(fields, transform, available=available, dtype=dtype)
         self._n, self._seed = require_integer("n", n), require_integer("seed", seed)
 
     def __len__(self) -> int:
@@ -75,7 +84,8 @@ class FakeGarments(Garments):
             raise ShardError(f"fake garment {position} has different bytes each time it is made")
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        return encode_sample(fake_sample(self._seed, position))
+        count = 2 + position % (self._most - 1) if self._most > 1 else 1
+        return encode_sample(fake_outfit(self._seed, position, count), garments=self._most)
 
 
 def fake_sample(seed: int, index: int, *, fineness: int = 1, points: int = POINTS) -> Sample:
@@ -105,6 +115,21 @@ def fake_sample(seed: int, index: int, *, fineness: int = 1, points: int = POINT
         back=_picture(random),
         gathers=tube.pattern.gather_ratios(),
     )
+
+
+def fake_outfit(seed: int, index: int, count: int) -> Sample:
+    """A skirt, and ``count`` - 1 over it, each 15 cm lower than the one before; with one layer for each two."""
+    skirts = [fake_sample(seed, index), *(fake_sample(seed + 1, 10 * index + number) for number in range(1, count))]
+    if count == 1:
+        return skirts[0]
+    garments = []
+    for number, skirt in enumerate(skirts):
+        drape = skirt.drape and replace(skirt.drape, vertices=skirt.drape.vertices - [0.0, 15.0 * number, 0.0])
+        fabric = NamedFabric("denim", {"density": 0.4}) if number else skirt.fabric
+        ways = {"tucked": number == 0, "closed": number != 1}
+        garments.append(WornGarment(skirt.pattern, skirt.design, skirt.box_mesh, drape, fabric, **ways))
+    layers = tuple(Layer(i, o, 7 * i + o, 20 + o, 0.25 * i) for o in range(count) for i in range(o))
+    return replace(skirts[0], outfit=Outfit(tuple(garments), layers))
 
 
 @dataclass(frozen=True)

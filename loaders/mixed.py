@@ -24,7 +24,7 @@ from gcd_dataset.loaders.base import (
 )
 from gcd_dataset.loaders.order import cached_permutation
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.layout import Bytes
+from gcd_dataset.shards.layout import Bytes, split_worn
 
 LONGEST_EPOCH = 1 << 62  # Python's limit for a length
 
@@ -48,8 +48,9 @@ class MixedDataset(Garments):
     ``shuffle``; a plain ``DataLoader`` repeats the first epoch, and with ``shuffle=True`` keeps the shares on average
     only.
 
-    ``transform`` is called with each item, after the transform of its own data set. Raises ``ConfigError`` for data
-    sets with different fields or ``dtype``, an empty data set, or weights other than one positive number for each.
+    ``transform`` is called with each item, after the transform of its own data set; ``OutfitCloth`` gives outfits and
+    single garments the same fields. Raises ``ConfigError`` for data sets with different fields or ``dtype``, an empty
+    data set, or weights other than one positive number for each.
     """
 
     endless = True
@@ -236,7 +237,8 @@ def _require_compatible(datasets: Sequence[Garments], weights: Sequence[float]) 
         require_garments(f"data set {number}", dataset)
         if not len(dataset):
             raise ConfigError(f"data set {number} has no garments: leave it out")
-        if odd := sorted(set(dataset.fields) ^ set(datasets[0].fields)):
+        odd = sorted(field for field in {*dataset.fields} ^ {*datasets[0].fields} if not split_worn(field)[0])
+        if odd:
             raise ConfigError(f"only one of data sets 0 and {number} has {', '.join(odd)}: give both the same fields")
         if dataset.dtype != datasets[0].dtype:
             types = f"{datasets[0].dtype} and {dataset.dtype}"

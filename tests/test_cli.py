@@ -25,7 +25,7 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import named_body, read_measurements
 from gcd_dataset.generator.body.sizes import read_chart
 from gcd_dataset.generator.fitting import Fitting, write_fitting
-from gcd_dataset.generator.garments import draw_garment, read_design
+from gcd_dataset.generator.garments import design_from_dict, draw_garment, read_design
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig
@@ -238,7 +238,7 @@ def draped(tmp_path_factory: pytest.TempPathFactory) -> Draped:
 
 
 def test_drape_leaves_meshes_pictures_and_a_report(draped: Draped) -> None:
-    for ending in (".obj", ".mtl", ".ply", ".glb", "_front.png", "_back.png", "_pattern.png"):
+    for ending in (".obj", ".mtl", ".ply", ".glb", "_front.png", "_side.png", "_back.png", "_pattern.png"):
         assert (draped.out / f"garment{ending}").stat().st_size > 50
     assert draped.report["fabric"] == "denim"
     lines = (draped.out / "garment.obj").read_text().splitlines()
@@ -262,6 +262,24 @@ def test_fit_draws_a_design_for_a_body_and_drapes_it(tmp_path: Path, capsys: pyt
     assert written.to_file_values() == pytest.approx(size.to_file_values())
     for ending in ("_pattern.svg", "_front.png", "_pattern.png"):
         assert (out / f"mini{ending}").stat().st_size > 1000
+
+
+def test_drape_moves_the_body_to_a_pose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The report has the pose; wrong poses are refused before a folder is made, one that cuts the body is named."""
+    spec, out, bent = tmp_path / "skirt.json", tmp_path / "out", tmp_path / "bent.json"
+    design = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.2}})
+    write_pattern(draw_garment(named_body("neutral")[1], design), spec)
+    bent.write_text('{"upper_arm": [0, -48, 0], "left_thigh": [20, 5, 0]}')
+    options = ["drape", str(spec), "--out", str(out), "--resolution", "8", "--device", "cpu", "--quiet"]
+    for wrong, told in ((["lotus"], "no pose named lotus"), ([str(bent), "--maps"], "--maps and --outfit")):
+        assert main([*options, "--pose", *wrong]) != 0
+        assert told in one_line(capsys.readouterr().err)
+        assert not out.exists()
+    assert main([*options, "--pose", str(bent), "--allow-unsettled"]) == 0
+    assert "in this pose the body cuts itself" in capsys.readouterr().err
+    report = json.loads((out / "report.json").read_text())
+    assert report["pose"]["left_thigh"] == [20.0, 5.0, 0.0]
+    assert report["garments"][0]["frames"] > 10
 
 
 def test_drape_cuts_a_design_for_a_size_and_tells_how_it_fits(

@@ -1,9 +1,11 @@
 """``gcd reconstruct``: one scan that fails stops no other; no file of the user is replaced; answers are as scored."""
 
+import contextlib
 import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -48,6 +50,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_scan_that_fails_stops_no_other(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scans = [str(place / name) for name in ("metres.npy", "giant.npy", "photographs", "skirt.npy", "pictured")]
     out = tmp_path / "out"
+    out.mkdir()
+    for earlier in ("giant_specification.json", "metres_design_params.yaml"):
+        (out / earlier).write_text("of a scan that was read")
     assert main(["reconstruct", *scans, "--proposals", str(place / "proposed"), "--out", str(out), *FAST]) == 1
     rows = json.loads((out / "report.json").read_text())["scans"]
     errors = capsys.readouterr().err.splitlines()
@@ -59,8 +64,19 @@ def test_a_scan_that_fails_stops_no_other(place: Path, tmp_path: Path, capsys: p
     assert rows[3]["mean_cm"] < 0.5
     assert rows[4]["iou"] > 0.95
     assert (out / "pictured_pictures.png").stat().st_size
+    assert not (out / "metres_design_params.yaml").exists()
     assert AnswerReader().read(out).keys() == {"skirt", "pictured"}
     assert Wearers(out, "", {}).body_of("skirt") == str(out / "skirt.npy")  # not skirt.obj, the garment
+
+
+def test_a_run_that_is_stopped_reports_the_scan_that_it_worked_on(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gcd_dataset.generator.search.search", Mock(side_effect=KeyboardInterrupt))
+    with contextlib.suppress(KeyboardInterrupt, SystemExit):
+        main(["reconstruct", str(place / "skirt.npy"), "--out", str(tmp_path), *FAST])
+    [row] = json.loads((tmp_path / "report.json").read_text())["scans"]
+    assert "stopped before" in row["error"]
 
 
 def test_no_scan_is_replaced(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

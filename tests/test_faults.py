@@ -216,6 +216,13 @@ def test_lines_meet_in_common_vertices_alone() -> None:
     assert not check_pattern(alone(replace(across, lines=across.lines[:1])))
 
 
+def test_a_line_has_a_known_role() -> None:
+    """As its tensors, which hold the row of a role."""
+    for role, figures in (("fold", []), ("pleat", ["line 0 has role pleat: give one of fold, placement, stitch"])):
+        pattern = alone(replace(square(), lines=(InnerLine(0, 2, role=role),)))
+        assert [fault.figure for fault in check_pattern(pattern)] == figures
+
+
 def test_a_seam_may_join_a_line_that_is_there() -> None:
     front = lined((2, 1), (2, 9.5))
     for line, rules in ((4, []), (5, [Rule.NO_SUCH_EDGE])):

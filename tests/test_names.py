@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -256,12 +257,14 @@ def test_file_names_of_gcd_drape_are_safe(victims: Path, monkeypatch: pytest.Mon
     sample, name = garment(), HOSTILE["through parents"]
     assert sample.box_mesh is not None
     assert sample.drape is not None
-    monkeypatch.setattr(fitting, "render_garment", lambda *_, **__: 2 * (np.zeros((8, 8, 3), np.uint8),))
+    shown = SimpleNamespace(lend_rgb=lambda: 3 * (np.zeros((8, 8, 3), np.uint8),))
+    monkeypatch.setattr(fitting, "garment_scene", lambda *_: None)
+    monkeypatch.setattr(fitting, "start_plain", lambda *_, **__: shown)
     monkeypatch.setattr(fitting, "draw_pattern", lambda _: np.zeros((8, 8, 3), np.uint8))
     made = Fitting(replace(sample.pattern, name=name), None, (), sample.box_mesh, sample.drape, {}, 0.0, 0.0)  # type: ignore[arg-type]
     write_fitting(made, victims / "out")
     files = [path for path in (victims / "out").iterdir() if path.is_file()]
-    assert len(files) == len(list((victims / "out").rglob("*"))) == 6  # OBJ, MTL, PLY, three pictures
+    assert len(files) == len(list((victims / "out").rglob("*"))) == 7  # OBJ, MTL, PLY, four pictures
 
 
 PIECES = ["piece_1", "piece_2", "前", "后", "", "👗", "A", "a", "á", "a_9", "a 9", "x" * 20, "x" * 21]

@@ -1,5 +1,6 @@
 """The garments of an outfit as one garment, and each alone."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 from gcd_dataset.loaders import GarmentDataset, OutfitCloth
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.outfits import apart, joined
-from gcd_dataset.records import Outcome
+from gcd_dataset.records import Layer, Outcome
 from tests.shards.folders import fake_outfit, fill_outfits
 
 
@@ -28,12 +29,17 @@ def test_a_joined_sample_is_the_joined_item(tmp_path: Path) -> None:
             assert set(item["garment_id"][ids].tolist()) == {*range(count)}
 
 
-def test_crossings_between_garments_are_crossings_of_the_joined_one() -> None:
-    sample = fake_outfit(0, 3)
-    assert sample.outfit is not None
-    whole = joined(sample).drape
-    assert whole is not None
-    assert (whole.self_crossings, whole.outcome) == (1 + 2 + 9, Outcome.SETTLED)
+def test_a_crossing_of_two_garments_counts_once() -> None:
+    """An outer garment counts its crossings with those under it as crossings with the body, which it lies on."""
+    sample = fake_outfit(0, 2)
+    assert sample.outfit is not None and sample.drape is not None
+    inner, outer = sample.outfit.garments
+    assert outer.drape is not None
+    outer = replace(outer, drape=replace(outer.drape, self_crossings=3, body_crossings=2, body_through=4))
+    outfit = replace(sample.outfit, garments=(inner, outer), layers=(Layer(0, 1, 6, 20, 0.0),))
+    whole = joined(replace(sample, outfit=outfit)).drape
+    assert whole is not None and whole.outcome is Outcome.SETTLED
+    assert (whole.self_crossings, whole.body_crossings, whole.body_through) == (3, 2, 4)
 
 
 def test_each_garment_alone_is_a_sample_of_the_same_wearer() -> None:

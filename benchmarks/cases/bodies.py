@@ -28,10 +28,10 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.cases import CaseResult, Figure
-from benchmarks.skin import skin_crossings
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import build_body, measure
 from gcd_dataset.generator.body.shape import POOLED, SEXES, arm_clearance, draw_from
+from gcd_dataset.generator.drape.self_contact import skin_crossings
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 from tools.body_model.survey import (

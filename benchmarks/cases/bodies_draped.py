@@ -25,11 +25,11 @@ from benchmarks.cases import CaseResult, Figure
 from benchmarks.draping.modes import write_failures
 from benchmarks.draping.other_bodies import OTHER_BODIES, dressed
 from benchmarks.draping.workload import Worn, is_clean
-from benchmarks.skin import skin_crossings
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.drape import DrapeConfig, drape_batch, resolve_device
+from gcd_dataset.generator.drape.self_contact import skin_crossings
 from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.records import Body, Drape, Outcome

@@ -24,7 +24,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.scoring.inputs import PICTURES
 from gcd_dataset.tensors import PANEL_LABELS
 
-STRIDE = 8  # pixels along each side of a token's cell
+STRIDE = 16  # pixels along each side of a token's cell
 NUMBERS = 6  # of a distortion
 MOST_TURN, MOST_GROWTH, MOST_SHIFT, MOST_WEIGHT = 0.1, 0.1, 0.1, 0.3
 """Limits of ``distorted``: turn [rad], log scale, shift [half sides of the picture], log weight of a channel."""
@@ -55,6 +55,7 @@ class PictureTokens(nn.Module):
         self.seen = seen
         self.cells = nn.Sequential(
             *_halved(3, width // 4),
+            *_halved(width // 4, width // 4),
             *_halved(width // 4, width // 2),
             *_halved(width // 2, width),
             nn.Conv2d(width, width, 1),

@@ -29,6 +29,7 @@ from benchmarks.reconstruction.weights import load_weights
 from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.files import make_folder
+from gcd_dataset.generator.device import resolve_device
 from gcd_dataset.generator.garments.design import write_design
 from gcd_dataset.jsonfile import JsonPath, read_json
 from gcd_dataset.scoring.distances import read_points
@@ -77,13 +78,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=16, help="designs for each scan (default: 16)")
     parser.add_argument("--weights", type=Path, default=WEIGHTS, help="with a JSON of its name (default: T1's)")
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument("--device", default="auto", help="auto, cpu or cuda:0 (default: auto)")
     options = parser.parse_args(arguments)
     failed = 0
     try:
         if options.count < 1:
             raise ConfigError(f"--count {options.count}: give 1 or more")
-        net = network(options.weights).to(options.device)
+        net = network(options.weights).to(resolve_device(options.device))
     except GcdError as error:
         print(f"propose: {error}", file=sys.stderr)
         return 1

@@ -67,7 +67,9 @@ def examine(
     if opened is None or (of_folder and opened.folder is None):
         remedy = f"run gcd download {source} first, then give the folder" if opened is None else "leave them out"
         raise ConfigError(f"{source}: bytes and recipe are checked in a folder of shards: {remedy}")
-    faults = [] if opened.folder is None else [*set_faults(opened.folder, every_byte=every_byte)]
+    told = {split.problem for split in opened.splits}
+    found = () if opened.folder is None else set_faults(opened.folder, every_byte=every_byte)
+    faults = [fault for fault in found if fault not in told]
     if opened.folder is not None and recipe is not None:
         from gcd_dataset.check.recipes import recipe_faults
         from gcd_dataset.generator.recipes import find_recipe

@@ -11,7 +11,8 @@ from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.recipe import recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe, recipe_names
 from gcd_dataset.generator.recipes.hashing import made_patterns
-from gcd_dataset.patternhash import PatternHash
+from gcd_dataset.patternhash import PatternHash, hash_pattern
+from gcd_dataset.shards.layout import key_of
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, RecipeRecord
 from gcd_dataset.shards.reader import ShardReader, stored_patterns
 from gcd_dataset.shards.store import FolderStore
@@ -96,8 +97,8 @@ def _sampled_faults(folder: Path, readers: Iterable[ShardReader], recipe: Recipe
     """Make the patterns of some designs again and compare them with the stored ones; one line for each difference."""
     designs = np.unique(np.linspace(0, recipe.designs - 1, min(recipe.designs, SAMPLED)).astype(int)).tolist()
     log.info("%s has no hash of all its patterns: %d designs are made again", recipe.name, len(designs))
-    made = dict(made_patterns(recipe, designs))
+    made = {index: garments for index, *garments in made_patterns(recipe, designs)}
     for reader in readers:
-        for index, pattern in stored_patterns(reader, of=made.keys()):
-            if not PatternHash.of([(index, made[index])]).agrees(PatternHash.of([(index, pattern)]).text):
-                yield f"{folder}: {pattern.name} has another pattern when made again: generate the data set anew"
+        for index, *garments in stored_patterns(reader, of=made.keys()):
+            if not hash_pattern(index, *made[index]).agrees(hash_pattern(index, *garments).text):
+                yield f"{folder}: {key_of(index)} has another pattern when made again: generate the data set anew"

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.body.tailor import MeasureResult
     from gcd_dataset.generator.fitting import Refusal
     from gcd_dataset.generator.sized import Cut
-    from gcd_dataset.records import Layer, Pattern
+    from gcd_dataset.records import Body, Layer, Pattern, Pose
 
 DESIGN_HELP = "GarmentCode's design_params.yaml, or ours"
 FABRICS = "denim, drill, interlock, wool_light ...; an unknown name lists them all"
@@ -85,6 +85,12 @@ def _add_draping(drape: Parser) -> None:
         "--glb", action="store_true", help="also the garment on its body as GLB, as gcd export writes it"
     )
     drape.add_argument(
+        "--pose",
+        metavar="POSE",
+        help="move the body to this pose under the garment: t-pose, arms-forward, arms-down, stride, or a JSON file of "
+        'bend, spread and twist by bone [degrees], such as {"forearm": [30, 0, 0]}',
+    )
+    drape.add_argument(
         "--maps", action="store_true", help="also stretch, gap to the skin and pressure on it, by vertex, as NPZ"
     )
     drape.add_argument(
@@ -138,7 +144,8 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
     resolution, fabric = check_resolution(options.resolution), fabric_named(options.fabric)
     cut = _cut_size(options)
     wearer = wearer or wearer_of(options)
-    _, size = wearer(False)  # raises before anything is written
+    body, size = wearer(False)  # raises before anything is written
+    pose = _pose_of(options, body)
     cut = cut and replace(cut, wearer_size=size_or_none(cut.chart, size))
     cuts = list(cut_patterns(options.spec, cut, size)) if cut else []
     patterns = (pattern for pattern, _ in cuts) if cut else read_patterns(options.spec)
@@ -157,7 +164,7 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
         write_fitting(whole, folder, glb=options.glb, device=device)
     else:
         folder = make_folder(options.out)
-        done = drape_patterns(patterns, wearer, maps=options.maps, **together)
+        done = drape_patterns(patterns, wearer, maps=options.maps, pose=pose, **together)
     try:
         for fitting in tqdm(done, total=len(options.spec), unit="garment", disable=options.quiet or is_outfit):
             if isinstance(fitting, Fitting) and not is_outfit:
@@ -168,7 +175,9 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
         if fittings:
             of_files = zip(options.spec, fittings, strict=False)
             fits = [fit for _, fit in cuts] or repeat(None)
-            write_report(of_files, folder / "report.json", resolution=resolution, fits=fits, layers=layers, **made_by)
+            write_report(
+                of_files, folder / "report.json", resolution=resolution, fits=fits, layers=layers, pose=pose, **made_by
+            )
     failed = False
     for fitting in fittings:
         if isinstance(fitting, Refusal):
@@ -191,6 +200,21 @@ def _drape(options: argparse.Namespace, wearer: Callable[[bool], Any] | None = N
         print(f"{outer} over {inner}: {layer.crossings} crossings, {layer.wrong_order:.1%} of it outside")
     print(f"{folder}: meshes, pictures and report.json")
     return int(failed)
+
+
+def _pose_of(options: argparse.Namespace, body: "Body") -> "Pose | None":
+    """The pose of ``--pose``; prints a warning where it cuts the body. Raises ``BodyError``, ``ConfigError``."""
+    if options.pose is None:
+        return None
+    if options.maps or getattr(options, "outfit", False):
+        raise ConfigError("--maps and --outfit are for a body in the A-pose: leave them out with --pose")
+    from gcd_dataset.generator.body.pose import named_pose, pose_body
+    from gcd_dataset.generator.drape.self_contact import skin_crossings
+
+    pose = named_pose(options.pose)
+    if cut := skin_crossings(pose_body(body, pose)):
+        print(f"gcd {options.verb}: {options.pose}: in this pose the body cuts itself, at {cut} edges", file=sys.stderr)
+    return pose
 
 
 def _require_outfit(options: argparse.Namespace) -> None:

@@ -67,16 +67,21 @@ def _reconstruct(options: argparse.Namespace) -> int:
 
     from gcd_dataset.files import make_folder, write_whole
     from gcd_dataset.generator.drape import resolve_device
+    from gcd_dataset.generator.fitting import garment_name
     from gcd_dataset.generator.recipe import check_resolution
+    from gcd_dataset.release.published_names import ENDINGS
     from gcd_dataset.workers import process_pool
 
     resolve_device(options.device), check_resolution(options.resolution)
     _require_own_names(options.scan, options.out)
     wearer = wearer_of(argparse.Namespace(**{**vars(options), "body": options.body or "neutral"}))
     wearer(False)  # an error of --body is no error of a scan
-    rows, folder = [], make_folder(options.out)
+    rows, folder = list[dict[str, Any]](), make_folder(options.out)
     with process_pool(options.workers) if options.workers > 1 else nullcontext(1) as pool:
         for scan in tqdm(options.scan, unit="scan", disable=options.quiet):
+            row: dict[str, Any] = {"error": "stopped before its design was found"}
+            for ending in (ENDINGS["spec"], DESIGNS[1:]):  # an answer of an earlier run
+                (folder / f"{garment_name(scan)}{ending}").unlink(missing_ok=True)
             try:
                 row = _reconstruct_one(scan, options, wearer, pool)
                 apart = (
@@ -87,8 +92,9 @@ def _reconstruct(options: argparse.Namespace) -> int:
                 told = str(error) if str(error).startswith(str(scan)) else f"{scan}: {error}"
                 row = {"error": told}
                 print(f"gcd reconstruct: {told}", file=sys.stderr)
-            rows.append({"scan": str(scan), **row})
-            write_whole(folder / "report.json", (json.dumps({"scans": rows}, indent=1) + "\n").encode())
+            finally:
+                rows.append({"scan": str(scan), **row})
+                write_whole(folder / "report.json", (json.dumps({"scans": rows}, indent=1) + "\n").encode())
     print(f"{folder}: patterns, designs, drapes and report.json")
     return int(any("error" in row for row in rows))
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Int
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.codec import decode_fields
-from gcd_dataset.shards.layout import FAILED, META, Bytes, fields_of
+from gcd_dataset.shards.layout import FAILED, META, Bytes, worn_name
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.reader import ShardReader
 
@@ -24,6 +24,8 @@ NEUTRAL = "neutral"  # name of the neutral body in a sample
 class Traits(NamedTuple):
     """What connects garments; equal numbers stand for equal designs, bodies, patterns."""
 
+    sample: Int[np.ndarray, " n"]
+    """The sample of each garment: an outfit has several."""
     design: Int[np.ndarray, " n"]
     body: Int[np.ndarray, " n"]
     pattern: Int[np.ndarray, " n"]
@@ -43,7 +45,7 @@ def partition(reader: ShardReader, shares: Mapping[str, float] = SHARES) -> dict
         )
     traits = traits_of(reader)
     family = families(traits)
-    chance = _chances(traits.design, family)
+    chance = _chances(traits.design, family[traits.sample])
     ends = np.cumsum(list(shares.values()))
     number = np.minimum(np.searchsorted(ends, chance, side="right"), len(ends) - 1)
     wanted = [split for split, share in enumerate(shares.values()) if share > 0]
@@ -57,8 +59,8 @@ def partition(reader: ShardReader, shares: Mapping[str, float] = SHARES) -> dict
     return {name: positions for name, positions in parts.items() if positions}
 
 
-def families(traits: Traits) -> Int[np.ndarray, " n"]:
-    """Family number of each sample: the connected components of garments that share a design, a body or a pattern.
+def families(traits: Traits) -> Int[np.ndarray, " s"]:
+    """Family number of each sample: a connected component of the samples that share a design, a body or a pattern.
 
     The neutral body, and bodies without shape weights, connect no garments. Two designs may give the same pattern on
     one body: they differ in parameters that are not used, such as the sleeves of a strapless bodice.
@@ -66,11 +68,11 @@ def families(traits: Traits) -> Int[np.ndarray, " n"]:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    n, everyone, specific = len(traits.design), np.arange(len(traits.design)), np.flatnonzero(~traits.is_common)
+    n, everyone, specific = traits.sample[-1] + 1, np.arange(len(traits.sample)), np.flatnonzero(~traits.is_common)
     nodes, rows, columns = n, [], []
     for trait, garments in ((traits.design, everyone), (traits.body, specific), (traits.pattern, everyone)):
         values, numbers = np.unique(trait, return_inverse=True)
-        rows.append(garments)
+        rows.append(traits.sample[garments])
         columns.append(nodes + numbers[garments])
         nodes += len(values)
     row, column = np.concatenate(rows), np.concatenate(columns)
@@ -85,11 +87,7 @@ def leaks(readers: Mapping[str, ShardReader]) -> list[str]:
     Split ``failed`` is left out: its designs may be in any other split too.
     """
     others = {name: reader for name, reader in readers.items() if name != FAILED}
-    designs = {
-        name: {_hash(members[DESIGN]) for members in reader.read_many(range(len(reader)), [DESIGN])}
-        for name, reader in others.items()
-        if len(others) > 1
-    }
+    designs = {name: set(traits_of(reader).design.tolist()) for name, reader in others.items() if len(others) > 1}
     return [
         f"{first} and {second} share {count} design{'s' if count > 1 else ''}"
         for first, second in combinations(designs, 2)
@@ -99,15 +97,19 @@ def leaks(readers: Mapping[str, ShardReader]) -> list[str]:
 
 def traits_of(reader: ShardReader) -> Traits:
     """What connects the samples of a split. Reads all of them."""
-    available = fields_of(reader.layout.members)
-    wanted, rows = [META, DESIGN, available["edges"], available["body"]], []
-    for members in reader.read_many(range(len(reader)), wanted):
-        arrays = decode_fields(members, ["edges", "body"])
-        edges, body = (np.ascontiguousarray(arrays[field]) for field in ("edges", "body"))
-        is_common = not len(body) or read_meta(members[META])["body"] == NEUTRAL
-        rows.append((_hash(members[DESIGN]), _hash(body.data), _hash(edges.data), is_common))
-    table = np.array(rows, np.int64)
-    return Traits(table[:, 0], table[:, 1], table[:, 2], table[:, 3].astype(bool))
+    wanted = [member for member in reader.layout.members if member.endswith((META, DESIGN, "pattern.z"))]
+    rows = []
+    for position, members in enumerate(reader.read_many(range(len(reader)), wanted)):
+        meta = read_meta(members[META])
+        edges = [worn_name(number, "edges") for number in range(len(meta.get("outfit", [meta])))]
+        arrays = decode_fields(members, ["body", *edges])
+        hashes = {field: _hash(np.ascontiguousarray(array).data) for field, array in arrays.items()}
+        common = not len(arrays["body"]) or meta["body"] == NEUTRAL
+        for number, field in enumerate(edges):
+            own = _hash(members[worn_name(number, DESIGN)])
+            rows.append((position, own, hashes["body"], hashes[field], common))
+    sample, design, body, pattern, is_common = np.array(rows, np.int64).T
+    return Traits(sample, design, body, pattern, is_common.astype(bool))
 
 
 def _hash(data: Bytes) -> int:

@@ -537,12 +537,13 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
 PATTERN_FIELDS = ("meta", *COLUMNS)
 
 
-def stored_pattern(members: Mapping[str, Bytes]) -> PatternTensor:
-    """The pattern of an encoded garment, from its ``PATTERN_FIELDS``. Raises ``ShardError``."""
-    field = decode_fields(members, PATTERN_FIELDS)
-    meta = field["meta"]
-    names: dict[str, Any] = {name: tuple(meta[name]) for name in ("panel_names", "panel_labels", "edge_labels")}
-    return PatternTensor(**{name: field[name] for name in COLUMNS}, **names, name=meta["key"])
+def patterns_of(members: Mapping[str, Bytes]) -> Iterator[PatternTensor]:
+    """The pattern of an encoded garment, or those of its outfit, from its ``PATTERN_FIELDS``. Raises ``ShardError``."""
+    meta = decode_field("meta", members)
+    for number, entry in enumerate(meta.get("outfit") or [meta]):
+        arrays = of_garment(number, decode_fields(members, [worn_name(number, name) for name in COLUMNS]))
+        names: dict[str, Any] = {name: tuple(entry[name]) for name in ("panel_names", "panel_labels", "edge_labels")}
+        yield PatternTensor(**arrays, **names, name=meta["key"])
 
 
 REMEDY = "copy its shard again, or delete the shard and run gcd generate again"

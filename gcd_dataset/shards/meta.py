@@ -30,8 +30,8 @@ garments              JSON type  holds                                          
 ``edge_labels``       texts      labels that the column of ``edges`` refers to
 ``vertex_labels``     texts      labels of vertices                                               ``[""]``
 ``drape``             object     ``outcome`` (text), ``frames``, ``self_crossings``,              ``""``, 0, -1, -1.0
-                                 ``body_crossings`` (cloth edges through the body),
-                                 ``body_through`` (body edges through the cloth) (ints),
+                                 ``body_crossings`` (cloth edges through body, garments under),
+                                 ``body_through`` (edges of these through the cloth) (ints),
                                  ``stretch_median``, ``stretch_p99`` (floats)
 ``strain``            object     ``principal``, 2 floats; ``panels``, 2 floats per panel  (*)     -1.0
 ``grade``             text       ``clean``, ``paper`` or ``failed``  (*)                          ``""``

@@ -33,7 +33,7 @@ from gcd_dataset.jsonfile import found
 from gcd_dataset.patternhash import PatternHash, hash_pattern
 from gcd_dataset.records import Outcome
 from gcd_dataset.shards.access import REMEDY, Place, mapped, read_file, reading
-from gcd_dataset.shards.codec import stored_pattern
+from gcd_dataset.shards.codec import patterns_of
 from gcd_dataset.shards.index import GRADES, OUTCOMES, SplitIndex, index_name
 from gcd_dataset.shards.layout import BODIES, GARMENTS, LARGEST_MANIFEST, META, Bytes, is_picture, key_of
 from gcd_dataset.shards.manifest import (
@@ -141,7 +141,7 @@ class Row(NamedTuple):
     """Lines of ``rejects.jsonl``."""
     redraws: Mapping[str, int]
     patterns: PatternHash
-    """Of its pattern; empty for a data set without a published recipe."""
+    """Of its patterns; empty for a data set without a published recipe."""
 
 
 def row_of(plan: Plan, members: Mapping[str, Bytes], start: int, views_start: int | None) -> Row:
@@ -154,7 +154,7 @@ def row_of(plan: Plan, members: Mapping[str, Bytes], start: int, views_start: in
         raise ShardError(f"index {number}, grade {found(grade)}, outcome {found(outcome)}: one is out of range")
     rejects = [] if plan.kind == BODIES.kind else list(_lines(plan, number, read_rejects(members[META])))
     is_hashed = plan.named is not None and plan.kind == GARMENTS.kind
-    patterns = hash_pattern(number, stored_pattern(members)) if is_hashed else PatternHash()
+    patterns = hash_pattern(number, *patterns_of(members)) if is_hashed else PatternHash()
     blocks = start // BLOCK, -1 if views_start is None else views_start // BLOCK
     return Row(number, *blocks, grade, outcome, rejects, meta.get("redraws") or {}, patterns)
 

@@ -11,9 +11,9 @@ from jaxtyping import Int
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.codec import PATTERN_FIELDS, decode_sample, stored_pattern
+from gcd_dataset.shards.codec import PATTERN_FIELDS, decode_sample, patterns_of
 from gcd_dataset.shards.index import GRADES
-from gcd_dataset.shards.layout import BODIES, GARMENTS, META, Bytes, Layout, fields_of, is_picture, key_of, members_of
+from gcd_dataset.shards.layout import BODIES, GARMENTS, META, Bytes, Layout, fields_of, is_picture, key_of
 from gcd_dataset.shards.manifest import ShardRecord
 from gcd_dataset.shards.meta import checked_meta
 from gcd_dataset.shards.store import FolderStore, Store
@@ -220,8 +220,10 @@ class ShardReader:
         self._checked, self._row = self._unchecked(), self._chosen()
 
 
-def stored_patterns(reader: ShardReader, of: Container[int] | None = None) -> Iterator[tuple[int, PatternTensor]]:
-    """Index and pattern of each sample in order; ``of``: indices to read, by default all.
+def stored_patterns(
+    reader: ShardReader, of: Container[int] | None = None
+) -> Iterator[tuple[int, *tuple[PatternTensor, ...]]]:
+    """Index and pattern, or patterns of the outfit, of each sample in order; ``of``: indices to read, by default all.
 
     Raises ``ShardError`` naming shard and sample for a damaged sample, ``ConfigError`` for samples without patterns.
     """
@@ -229,9 +231,10 @@ def stored_patterns(reader: ShardReader, of: Container[int] | None = None) -> It
         raise ConfigError(
             f"{reader.store.location()}: its samples have no {missing[0]}: give a data set with all fields"
         )
+    needed = [member for member in reader.layout.members if member == META or member.endswith("pattern.z")]
     wanted = [position for position in range(len(reader)) if of is None or reader.number(position) in of]
     for first in range(0, len(wanted), BATCH):
         positions = wanted[first : first + BATCH]
-        for position, members in zip(positions, reader.read_many(positions, members_of(PATTERN_FIELDS)), strict=True):
+        for position, members in zip(positions, reader.read_many(positions, needed), strict=True):
             with reader.naming(position):
-                yield reader.number(position), stored_pattern(members)
+                yield reader.number(position), *patterns_of(members)

@@ -171,7 +171,7 @@ def _values(sample: Sample) -> dict[str, Float[np.ndarray, " v"]]:
 def _crossed(mesh: BoxMesh | None, drape: Drape | None, body: Body | None) -> Int[np.ndarray, " n"] | None:
     if mesh is None or drape is None:
         return None
-    if drape.self_crossings == drape.body_crossings == 0:
+    if drape.self_crossings == drape.body_crossings == drape.body_through == 0:
         return np.zeros(0, int)
     return crossing_vertices(np.asarray(drape.vertices, float), mesh.faces, body)
 

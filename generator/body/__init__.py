@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.body.by_name import named_body
     from gcd_dataset.generator.body.measuring import measure
     from gcd_dataset.generator.body.mesh_bodies import read_body
+    from gcd_dataset.generator.body.pose import named_pose, pose_body
     from gcd_dataset.generator.body.shape import (
         build_body,
         draw_shape,
@@ -24,8 +25,10 @@ __all__ = [
     "fit_shape",
     "measure",
     "named_body",
+    "named_pose",
     "named_shape",
     "neutral_shape",
+    "pose_body",
     "read_body",
     "read_measurements",
     "write_measurements",

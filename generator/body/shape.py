@@ -195,7 +195,7 @@ def _built(shape: BodyShape, name: str, *, resolve_creases: bool) -> Body:
         raise BodyError(f"{name}: {shape.weights.size} shape weights, the body model takes {len(model.components)}")
     body = _unfolded(shape.weights.astype(float).tobytes(), shape.arm_angle, shape.legs_apart)
     if resolve_creases:
-        body = _skin().smoothed(body.vertices, body.rounds, resolve_creases=True, normals=body.normals)
+        body = body_skin().smoothed(body.vertices, body.rounds, resolve_creases=True, normals=body.normals)
     return Body(stand(body.vertices), model.faces, model.parts, name)
 
 
@@ -204,7 +204,7 @@ def _unfolded(weights: bytes, arm_angle: float, legs_apart: bool) -> Smoothed:
     """The posed body without folds, its creases not yet resolved."""
     vertices, joints = _unposed(weights)
     posed = set_pose(vertices, joints, body_model().skin, arm=arm_angle, leg=LEGS_APART if legs_apart else 0.0)
-    unfolded = _skin().smoothed(posed, ROUNDS, resolve_creases=False)
+    unfolded = body_skin().smoothed(posed, ROUNDS, resolve_creases=False)
     unfolded.vertices.flags.writeable = unfolded.normals.flags.writeable = False
     return unfolded
 
@@ -224,7 +224,7 @@ def _unposed(weights: bytes) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray
 
 
 @functools.cache
-def _skin() -> SkinMesh:
+def body_skin() -> SkinMesh:
     """The skin that cloth touches, to be kept free of folds; head, hands and feet have natural folds."""
     model = body_model()
     excluded = np.isin(model.parts, [part.value for part in COARSE_PARTS])

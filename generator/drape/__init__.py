@@ -2,7 +2,7 @@
 
 from gcd_dataset.generator.device import every_device, load_kernels, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.drape import batch_capacity, drape_all, drape_batch, drape_outfit
+from gcd_dataset.generator.drape.drape import batch_capacity, drape_all, drape_batch, drape_motion, drape_outfit
 from gcd_dataset.generator.drape.fabrics import (
     DEFAULT_FABRIC,
     FABRICS,
@@ -29,6 +29,7 @@ __all__ = [
     "batch_capacity",
     "drape_all",
     "drape_batch",
+    "drape_motion",
     "drape_outfit",
     "draw_fabric",
     "every_device",

@@ -20,7 +20,8 @@ from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING, STOPPED
 from gcd_dataset.generator.drape.model import ClothModel, build_model
-from gcd_dataset.generator.drape.outcome import best_of, collect, crosses, slid_off
+from gcd_dataset.generator.drape.moving import Motion
+from gcd_dataset.generator.drape.outcome import KEEPS_CROSSINGS, best_of, collect, crosses, slid_off
 from gcd_dataset.generator.drape.slots import WIDTH, CoarseEnd, Slots, room_for, rooms_of
 from gcd_dataset.generator.drape.solver import nothing
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
@@ -37,11 +38,18 @@ class PreparedJob:
     constraints: BodyConstraints
     coarse_constraints: BodyConstraints | None
     """The constraints of ``job.coarse``."""
+    motion: Motion | None
+    """The motion to ``job.pose``."""
 
     @classmethod
     def of(cls, job: DrapeJob) -> Self:
         coarse = BodyConstraints.of(replace(job, box_mesh=job.coarse.mesh)) if job.coarse else None
-        return cls(job, host_field(job.body), BodyConstraints.of(job), coarse)
+        return cls(job, host_field(job.body), BodyConstraints.of(job), coarse, motion_of(job))
+
+
+def motion_of(job: DrapeJob) -> Motion | None:
+    """The motion of a job's body to its pose, if it has one. Raises ``BodyError`` for an impossible pose."""
+    return Motion.to_pose(job.body, job.pose) if job.pose else None
 
 
 @dataclass(frozen=True)
@@ -61,6 +69,8 @@ class Pass:
     """In the fine pass: the end of the coarse pass, if the garment starts from it."""
     begun_with: CoarseMesh | None = None
     """The coarse mesh of the garment's first pass, if it has one."""
+    rested: Drape | None = None
+    """The drape before the body moved to its pose, once it does."""
     earlier: tuple[Drape, ...] = ()
     """The drapes of the garment before this pass, none of them free of crossings."""
     room_factor: int = 1
@@ -84,6 +94,26 @@ class Pass:
         """The job of this pass: with the coarse mesh, or with the fine mesh."""
         return _job(self.fine, self.coarse)
 
+    @property
+    def motion(self) -> Motion:
+        """The motion of the body to its pose."""
+        motion = self.prepared.motion if self.prepared else motion_of(self.fine)
+        assert motion is not None
+        return motion
+
+    @property
+    def frames_before(self) -> int:
+        """The frames of the coarse pass, and of the drape before the body moved."""
+        return self.coarse_frames + (self.rested.frames if self.rested else 0)
+
+    def moves_after(self, drape: Drape) -> bool:
+        """Whether the body moves to its pose after ``drape``, at the end of a fine pass."""
+        return (
+            self.fine.pose is not None
+            and self.rested is None
+            and drape.outcome in (*KEEPS_CROSSINGS, Outcome.NOT_SETTLED)
+        )
+
     def sewing_time(self, config: DrapeConfig) -> float:
         """The time over which the seams close in this pass [s]: doubled with each earlier drape."""
         return config.sewing_time * 2.0 ** len(self.earlier)
@@ -99,7 +129,7 @@ class Pass:
     def begun(self) -> Self:
         """The first pass of this drape."""
         constraints = _constraints(self.fine, self.begun_with, self.prepared)
-        return replace(self, coarse=self.begun_with, constraints=constraints, coarse_frames=0, start=None)
+        return replace(self, coarse=self.begun_with, constraints=constraints, coarse_frames=0, start=None, rested=None)
 
     def restarted(self, frames: int, config: DrapeConfig) -> Self:
         """The fine pass from the placed panels, after a coarse pass of ``frames`` frames that slid off the body."""
@@ -305,7 +335,14 @@ class Lane:
         drapes = yield from collect(self._slots.solver, [passes[w].fine for w in fine], fine)
         finished: list[tuple[int, Drape]] = []
         for w, drape in zip(fine, drapes, strict=True):
-            whole = replace(drape, frames=drape.frames + passes[w].coarse_frames)
+            if passes[w].moves_after(drape):
+                self._slots.move(w, passes[w].motion)
+                passes[w] = replace(passes[w], rested=drape)
+                ended.remove(w)
+                continue
+            whole = replace(drape, frames=drape.frames + passes[w].frames_before)
+            if passes[w].fine.pose and not passes[w].rested:
+                whole = replace(whole, reason=f"before the body moved{': ' if whole.reason else ''}{whole.reason}")
             every = (*passes[w].earlier, whole)
             if drape.outcome is Outcome.OVERFULL and passes[w].room_factor < MOST_ROOM:
                 self._waiting.append(passes[w].with_more_room())

@@ -61,7 +61,7 @@ _skins: OrderedDict[bytes, "_SkinTopology"] = OrderedDict()
 _skins_lock = threading.Lock()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BodyField:
     """Signed distance field of one body on a device."""
 

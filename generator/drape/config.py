@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.errors import ConfigError, DrapeError
+from gcd_dataset.errors import BodyError, ConfigError, DrapeError
+from gcd_dataset.generator.body.pose import require_possible
 from gcd_dataset.generator.drape.fabrics import STIFFEST, Fabric
 from gcd_dataset.generator.dressing.worn import WornCloth
 from gcd_dataset.generator.mesh import CoarseMesh
-from gcd_dataset.records import Body, BoxMesh, Measurements
+from gcd_dataset.records import Body, BoxMesh, Measurements, Pose
 
 GRAVITY = 981.0  # cm/s²
 USUAL_FABRIC = Fabric()
@@ -122,12 +123,19 @@ class DrapeJob:
     """Start positions by ``dressing.sewing_start`` [cm], of ``coarse`` if given, otherwise of ``box_mesh``; None: the
     drape computes them."""
     tucked_below: float = -np.inf
-    """Height below which the cloth is tucked into another garment, and stays near the skin [cm]."""
+    """Top edge of the garment into which this one is tucked [cm]; below it the cloth is taken in, and stays near the
+    skin."""
     under: tuple[WornCloth, ...] = ()
     """The garments on the body under this one, from the skin outwards: this one drapes over them, and they stay as they
     are. Its crossings with them count as crossings with the body."""
+    pose: Pose | None = None
+    """The garment drapes on ``body``, which then moves to this pose, and comes to rest there; None: it stays."""
 
     def __post_init__(self) -> None:
+        if self.pose is not None and self.under:
+            raise ConfigError(
+                "DrapeJob: a body that wears a garment under this one cannot move: leave pose or under out"
+            )
         mesh = self.coarse.mesh if self.coarse else self.box_mesh
         if self.start is not None and len(self.start) != len(mesh.vertices):
             which = "the coarse mesh" if self.coarse else "the box mesh"
@@ -141,6 +149,11 @@ class DrapeJob:
         mesh, body = self.box_mesh, self.body
         if not all(np.isfinite(cloth.vertices).all() for cloth in self.under):
             raise DrapeError("a garment under it has a vertex that is not a number: drape that garment first")
+        if self.pose is not None:
+            try:
+                require_possible(self.pose, body)
+            except BodyError as error:
+                raise DrapeError(str(error)) from error
         if not len(mesh.faces):
             raise DrapeError("a garment has no faces: build its box mesh from a pattern with panels")
         if not len(body.faces) or not np.isfinite(body.vertices).all():

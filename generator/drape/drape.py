@@ -5,18 +5,23 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 import warp as wp
 
 from gcd_dataset.errors import ConfigError, DrapeError
-from gcd_dataset.generator.device import cores, resolve_device
+from gcd_dataset.generator.body.pose import pose_body
+from gcd_dataset.generator.device import Resumable, cores, resolve_device
 from gcd_dataset.generator.drape.batches import PreparedJob, drape_unordered
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.loading import load_drape
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.moving import Motion
+from gcd_dataset.generator.drape.outcome import KEEPS_CROSSINGS, collect
+from gcd_dataset.generator.drape.slots import CoarseEnd, Slots, rooms_of
 from gcd_dataset.generator.dressing.worn import WornCloth
-from gcd_dataset.records import Drape, Outcome
+from gcd_dataset.records import Drape, Outcome, Pose
 
 Made = TypeVar("Made")
 DEFAULT = DrapeConfig()
@@ -79,6 +84,55 @@ def drape_outfit(jobs: Sequence[DrapeJob], config: DrapeConfig = DEFAULT, *, dev
         worn = [WornCloth.of(under.box_mesh, drape.vertices) for under, drape in zip(jobs, drapes, strict=False)]
         drapes += drape_batch([replace(job, under=tuple(worn))], config, device=device)
     return tuple(drapes)
+
+
+def drape_motion(
+    job: DrapeJob,
+    poses: Iterable[Pose],
+    config: DrapeConfig = DEFAULT,
+    *,
+    fps: float = 30.0,
+    device: str = "auto",
+) -> Iterator[Drape]:
+    """One ``Drape`` for each pose that the body takes, ``fps`` a second; the garment is at rest in the first.
+
+    The body moves to the first pose as for ``DrapeJob.pose``. Between two poses it moves straight, for the nearest
+    number of frames: time steps follow from the mesh, and at a spacing of 4 cm a frame takes 0.04 s. Later drapes have
+    ``frames`` since the first, are ``SETTLED`` though they move, and keep their crossings. A garment that slides off,
+    falls or diverges ends the sequence after its drape. Raises ``BodyError`` for an impossible pose.
+    """
+    device, numbered = resolve_device(device), iter(poses)
+    if (first := next(numbered, None)) is None:
+        return
+    [rest] = drape_batch([replace(job, pose=first)], config, device=device)
+    yield rest
+    if rest.outcome not in KEEPS_CROSSINGS:
+        return
+    config = replace(config, untangling_steps=0, exact_finish=False)
+    here = pose_body(job.body, first)
+    model = build_model([replace(job, body=here)], config, device)
+    slots = Slots(sum(rooms_of(model)), 1, config, device)
+    slots.place(model, [CoarseEnd.at_rest(rest.vertices, config.sewing_time + config.held_time, device)])
+    slots.move(0, Motion.of([here, here], job.body), ends=False)
+    for pose in numbered:
+        there = pose_body(job.body, pose)
+        slots.move_on(0, Motion.of([here, there], job.body), 1.0 / fps)
+        for _ in range(slots.solver.moving[0].frames):
+            slots.solver.frame()
+        [drape] = _at_once(collect(slots.solver, [job], [0]))
+        yield replace(drape, outcome=Outcome.SETTLED) if drape.outcome is Outcome.NOT_SETTLED else drape
+        if drape.outcome in (Outcome.DIVERGED, Outcome.FELL, Outcome.SLID_OFF, Outcome.OVERFULL):
+            return
+        here = there
+
+
+def _at_once(work: Resumable[Made]) -> Made:
+    """The result of work on a device, waiting for it where it yields."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return cast(Made, end.value)
 
 
 def _refused(job: DrapeJob, reason: str) -> Drape:

@@ -4,23 +4,24 @@ The field of the body is lowered to the signed distance from each worn garment. 
 sign: a tube of cloth is solid, so that no outer garment enters a skirt from below.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import warp as wp
 from jaxtyping import Float
 
 from gcd_dataset.generator.device import native_builds
-from gcd_dataset.generator.drape.body_field import ARMS, BAND, BodyField
+from gcd_dataset.generator.drape.body_field import ARMS, BAND, CACHED, BodyField
 from gcd_dataset.generator.drape.kernels.field import BLOCK, find_parts, lower_to_cloth, measure_cloth_blocks
 from gcd_dataset.generator.dressing.worn import WornCloth
 from gcd_dataset.meshedges import mesh_edges
 
 
-def dressed(field: BodyField, under: Sequence[WornCloth], gap: float) -> BodyField:
-    """The field of a body that wears garments, each thicker by ``gap`` [cm]."""
-    device = field.distance.device
+@lru_cache(CACHED)
+def dressed(field: BodyField, under: tuple[WornCloth, ...], gap: float) -> BodyField:
+    """The field of a body that wears garments, each thicker by ``gap`` [cm]; cached, for a second drape."""
+    device = str(field.distance.device)
     grown = _grown(field, np.concatenate([cloth.vertices for cloth in under]))
     worn = []
     for cloth in under:

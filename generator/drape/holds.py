@@ -71,7 +71,7 @@ def holds(job: DrapeJob) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, " 
     offset = np.zeros(len(job.box_mesh.vertices))
     for label, (direction, level) in _half_spaces(job.measurements).items():
         ids = job.box_mesh.labels.get(label)
-        if label is EdgeRole.LOWER_INTERFACE and _hangs_from_shoulders(job):
+        if label is EdgeRole.LOWER_INTERFACE and hangs_from_shoulders(job):
             continue
         if ids is not None and np.isfinite(level):
             normal[ids] = direction
@@ -103,7 +103,7 @@ def find_keepers(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
     }
     for label, drop in drops.items():
         lowest = _half_spaces(size)[label][1] - drop
-        if label in labels and np.isfinite(lowest) and not _hangs_from_shoulders(job):
+        if label in labels and np.isfinite(lowest) and not hangs_from_shoulders(job):
             return np.asarray(labels[label]), lowest
     return np.zeros(0, int), 0.0
 
@@ -119,7 +119,7 @@ def off_body(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> str:
     if not np.isfinite(waist):
         return ""
     supported = find_keepers(job)[0]
-    if _hangs_from_shoulders(job):
+    if hangs_from_shoulders(job):
         supported = np.concatenate([mesh.labels[label] for label in sorted(NECKLINE & mesh.labels.keys())])
         armpit = job.measurements.height - job.measurements.head_l - job.measurements.armscye_depth
         neckline = vertices[supported, 1]
@@ -169,7 +169,8 @@ def _pieces(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
     return np.asarray(piece)[panel]
 
 
-def _hangs_from_shoulders(job: DrapeJob) -> bool:
+def hangs_from_shoulders(job: DrapeJob) -> bool:
+    """Whether a garment has a neckline."""
     return bool(NECKLINE & job.box_mesh.labels.keys())
 
 

@@ -36,7 +36,7 @@ UNTANGLING = 24000.0  # cm/s², acceleration that shortens intersection contours
 PULLING = 12000.0  # cm/s², acceleration of crossing cloth toward its own body part
 SAMPLE = 8  # medians are taken over every eighth vertex or edge
 COARSE_GAP = 2.5  # layer distance of coarse cloth, as a multiple of that of fine cloth
-TUCK = 3.0  # layers of a flat fold: spare cloth that is tucked in lies so thick on the skin
+TUCK = 0.4  # cm, largest distance of tucked cloth from the skin, besides the gap of all cloth
 WORN_GAP = 0.125  # of the edge length: a chord as long as the radius of a fold cuts so deep into it, 1 - cos(30°)
 INERTIA_GAIN = 4.0  # inertia over mass at the median vertex: added inertia allows a longer time step
 
@@ -100,7 +100,7 @@ def build_model(
     """
     jobs = [replace(job, fabric=job.fabric.softened(config.stiffest)) for job in jobs]
     constraints = constraints or [BodyConstraints.of(job) for job in jobs]
-    topology = build_topology(jobs, [each.keepers for each in constraints], device)
+    topology = build_topology(jobs, config, [each.keepers for each in constraints], device)
     vertices, edges, faces = (
         [slice(int(a), int(b)) for a, b in pairwise(ends)]
         for ends in (topology.vertex_offset, topology.edge_offset, topology.face_offset)
@@ -128,11 +128,13 @@ def build_model(
         world.field, world.field_parts = body.distance.flatten(), body.part.flatten()
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)
-        world.field_cell = body.cell
+        world.field_cell, world.face_parts = body.cell, body.face_parts
         if body.worn_ids is not None:
             world.worn, world.worn_gap = body.worn_ids, gap
     cloth.axes = wp.array(np.concatenate([body.axes for body in bodies]), dtype=wp.vec3, device=device)
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
+    cloth.skin_lag = wp.zeros(len(jobs), dtype=float, device=device)
+    cloth.skin_velocity = wp.zeros(len(topology.mass), dtype=wp.vec3, device=device)
     face_world = np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset))
     parameters = wp.array(worlds, dtype=World, device="cpu").numpy()
     return ClothModel(
@@ -168,7 +170,8 @@ def empty_model(room: int, worlds: int, width: int, device: str, *, coupled: boo
     cloth.hold_normal, cloth.hold_offset = make(room, wp.vec3), make(room, float)
     cloth.own_part, cloth.keeper, cloth.ignored_parts = make(room, int), make(room, wp.uint8), make(room, int)
     cloth.axes = wp.zeros((2 * worlds + 2, len(AXES)), dtype=wp.vec3, device=device)
-    cloth.body_mesh = make(worlds + 1, wp.uint64)
+    cloth.body_mesh, cloth.skin_lag = make(worlds + 1, wp.uint64), make(worlds + 1, float)
+    cloth.skin_velocity = make(room, wp.vec3)
     nowhere = slice(0, 0)
     return ClothModel(
         device=device,
@@ -252,7 +255,7 @@ def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float, sewing_time: f
     world.pulling = PULLING if config.pull_to_parts else 0.0
     world.thickness = gap_factor * max(job.fabric.thickness, config.layer_gap)
     world.body_gap = config.body_gap
-    world.tucked_below, world.tuck = job.tucked_below, config.body_gap + TUCK * world.thickness
+    world.tucked_below, world.tuck = job.tucked_below, config.body_gap + TUCK
     world.margin = max(config.contact_margin, 1.5 * world.thickness)
     world.travel = 0.4 * (world.margin - world.thickness)
     return world

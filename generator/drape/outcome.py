@@ -184,8 +184,11 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
             stretch_p99=stretch_p99,
             body_through=int(body_through[w]),
         )
+        moved = solver.moving.get(w)
+        if moved and np.isfinite(vertices).all():
+            drape = replace(drape, vertices=moved.motion.undone(vertices))
         outcome, reason = _judge(job, drape, solver.config, int(status[w]), overfull=bool(overfull[w]))
-        drapes.append(replace(drape, outcome=outcome, reason=reason))
+        drapes.append(replace(drape, vertices=vertices, outcome=outcome, reason=reason))
     return drapes
 
 

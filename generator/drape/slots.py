@@ -4,24 +4,29 @@ The buffers have a fixed size, so the captured graphs stay valid. A garment take
 faces in proportion; its drape does not depend on its place.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 import warp as wp
+from jaxtyping import Float
 
 from gcd_dataset.generator.device import launch_lock, to_host
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.kernels import place as kernels
+from gcd_dataset.generator.drape.kernels.moving import begin_motion
 from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, Placement, VertexState
 from gcd_dataset.generator.drape.kernels.world import DONE
 from gcd_dataset.generator.drape.model import ClothModel, ClothState, empty_model
+from gcd_dataset.generator.drape.moving import Motion, MovingSkin, own_skin
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drape.topology import WARP
 from gcd_dataset.generator.mesh import CoarseMesh
 from gcd_dataset.records import BoxMesh
 
+ENDLESS = 1 << 30  # frames
 WIDTH = 12  # edges and faces of a vertex for which there is room at least
 MIN_FRAMES = 4  # frames of the fine mesh before it may count as at rest
 VERTEX_STATE = ("x", "v", "ahead", "x_seen", "contact_weight", "beside", "tangled", "push")
@@ -45,6 +50,15 @@ class CoarseEnd:
     held: int
     overfull: int
     """1 where a contact list was full: which contacts were dropped is not deterministic, nor is the drape."""
+
+    @classmethod
+    def at_rest(cls, vertices: Float[np.ndarray, "v 3"], time: float, device: str) -> Self:
+        """A start of the same mesh at rest, released from holds, ``time`` seconds after the start of the drape."""
+        same = np.repeat(np.arange(len(vertices), dtype=np.int32)[:, None], 3, axis=1)
+        x = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=device)
+        weights = wp.array(np.tile(np.eye(3, dtype=np.float32)[0], (len(vertices), 1)), dtype=wp.vec3, device=device)
+        corners = wp.array(same, dtype=wp.vec3i, device=device)
+        return cls(corners, weights, x, wp.zeros_like(x), time, held=0, overfull=0)
 
     @classmethod
     def of(cls, mesh: CoarseMesh, state: ClothState, at: slice, *, time: float, held: int, overfull: int) -> Self:
@@ -125,6 +139,34 @@ class Slots:
             self._write(new, starts, worlds)
         return worlds
 
+    def move(self, w: int, motion: Motion, *, ends: bool = True) -> None:
+        """Let the body of a garment at rest move; the drape ends once both are at rest, or not at all."""
+        solver, model, state = self.solver, self.solver.model, self.solver.state
+        shared = model.bodies[w]
+        assert shared is not None
+        with launch_lock:
+            body = model.bodies[w] = own_skin(shared)
+            row = self._rows[w : w + 1]
+            frame, first = float(row["frame"][0]), int(row["first"][0])
+            skin = MovingSkin(w, body.mesh, motion, math.ceil(motion.seconds / frame), frame)
+            row["skin"] = self._meshes[w] = body.mesh.id
+            row["lowest"] -= max(motion.drop, 0.0)
+            row["max_frames"] = skin.frames + solver.config.max_frames if ends else ENDLESS
+            model.worlds.assign(self._rows)
+            model.cloth.body_mesh.assign(self._meshes)
+            outputs = [state.x, state.v, state.ahead, state.ahead_next, state.x_seen, state.time, state.status]
+            outputs += [state.frames, state.held, state.loose_after, state.crossing]
+            inputs = [w, first, (skin.frames + 1.5 if ends else ENDLESS) * frame]
+            self._launch(begin_motion, int(row["size"][0]), inputs, outputs)
+        solver.moving[w] = skin
+        solver.rebuild_bvh_next()
+
+    def move_on(self, w: int, motion: Motion, seconds: float) -> None:
+        """Let a body that moves without an end move further, in the nearest number of frames to a time [s]."""
+        skin = self.solver.moving[w]
+        frames = max(round(seconds / skin.seconds), 1)
+        self.solver.moving[w] = replace(skin, motion=motion, frames=frames, gently=False, frame=0)
+
     def free(self, worlds: Sequence[int]) -> None:
         """Give up the places of garments."""
         if not worlds:
@@ -135,6 +177,7 @@ class Slots:
             self._give_back(first, size)
         self._rows["size"][list(worlds)] = 0
         for w in worlds:
+            self.solver.moving.pop(w, None)
             model.bodies[w] = None
             model.vertices[w] = model.edges[w] = model.faces[w] = slice(0, 0)
         threads = 1 if model.device == "cpu" else THREADS

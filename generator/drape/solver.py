@@ -14,6 +14,7 @@ from gcd_dataset.generator.drape.kernels import contacts, crossing, finish, sear
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.generator.drape.model import ClothModel, new_state
+from gcd_dataset.generator.drape.moving import MovingSkin
 
 REBUILD_EVERY = 10  # frames between two builds of the BVH; in between it is refitted
 FINISHING_ROUNDS = 4
@@ -46,6 +47,8 @@ class Solver:
         self._none, self._every = wp.zeros_like(self.state.tangled), wp.ones_like(self.state.tangled)
         self._graphs: list[wp.Graph] = []
         self._skins: tuple[wp.array, int] | None = None
+        self.moving: dict[int, MovingSkin] = {}
+        """World to the skin that moves in it."""
         self.mirror = HostMirror()
         self.untangling: Any = None
         """Buffers and graph of ``outcome.untangle``, kept for its next call."""
@@ -79,6 +82,8 @@ class Solver:
                 steps = self.captured(self._search_and_step)
                 rounds = self.config.substeps // self.config.search_every
                 self._graphs = [self.captured(self._begin_frame), *rounds * [steps], self.captured(self._end_frame)]
+        for skin in self.moving.values():
+            skin.advance(self.state, self.model.cloth)
         for graph in self._graphs:
             between()
             wp.capture_launch(graph)
@@ -292,7 +297,7 @@ class Solver:
             search.find_near_vertices,
             (m.n_vertices, per_vertex),
             [m.worlds, m.cloth, per_vertex, s.search.searching, s.x, s.newest, s.older],
-            [s.search.x, s.search.skin, s.beside, s.contacts],
+            [s.search.x, s.search.skin, m.cloth.skin_velocity, s.beside, s.contacts],
         )
         self._sum_work(search.count_near_work, s.search.searching, s.contacts.near_work)
         if self.config.self_contact:

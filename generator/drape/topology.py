@@ -9,13 +9,14 @@ import numpy as np
 import warp as wp
 
 from gcd_dataset.generator.device import to_host
-from gcd_dataset.generator.drape.config import DrapeJob
+from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.fabrics import DYNE_CM
 from gcd_dataset.generator.drape.kernels import rows as row_kernels
 from gcd_dataset.generator.drape.kernels import topology as kernels
 from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Corner, Rows, Spring
 from gcd_dataset.generator.drape.kernels.sheet import Sheet, sheet_of
 from gcd_dataset.generator.drape.loading import load_drape
+from gcd_dataset.generator.drape.tucked import widths
 from gcd_dataset.records import BoxMesh
 
 PRESSED = 10.0  # 1/cm: stiffness of a pressed crease, over the bending rigidity
@@ -48,7 +49,9 @@ class Topology:
     """(w + 1) first edge of each garment, and the number of edges."""
 
 
-def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], device: str) -> Topology:
+def build_topology(
+    jobs: Sequence[DrapeJob], config: DrapeConfig, keepers: Sequence[np.ndarray], device: str
+) -> Topology:
     """The topology of all garments, in the order of the jobs; ``keepers``: vertex indices for each garment."""
     load_drape(device)
     meshes = [job.box_mesh for job in jobs]
@@ -60,6 +63,9 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
     surface = batch.surface(meshes)
     panel = batch.joined([mesh.panel_id for mesh in meshes], np.int32, int)
     hinges, edge_offset = batch.describe_edges(surface, panel, start, world, sheets)
+    if any(np.isfinite(job.tucked_below) for job in jobs):
+        width = batch.joined([widths(job, config) for job in jobs], np.float32, float)
+        batch.launch(kernels.take_in, len(surface.edges), [surface.edges, start, width], [hinges.spring])
     batch.find_faces(surface)
     batch.find_edges(surface)
     folds = [folds_of(job) for job in jobs]

@@ -9,21 +9,28 @@ import argparse
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from gcd_dataset.generator.pipeline import prepare
+from gcd_dataset.generator.pipeline import DrapedDesign, DressedDesign, prepare
 from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.tensors import PatternTensor, encode_pattern
 
 
-def made_patterns(recipe: Recipe, designs: Iterable[int]) -> Iterator[tuple[int, PatternTensor]]:
-    """Index and pattern of all samples of the given designs. Raises ``PatternError`` as ``produce`` does."""
+def made_patterns(recipe: Recipe, designs: Iterable[int]) -> Iterator[tuple[int, *tuple[PatternTensor, ...]]]:
+    """Index and pattern, or patterns of the outfit, of all samples of the given designs.
+
+    Raises ``PatternError`` as ``produce`` does.
+    """
     # Up to the mesh: a design that cannot be meshed is rejected, and the next attempt has another pattern.
     config = recipe.config
     if config.stage == "drape":
         config = replace(config, stage="mesh", maps=False, views=0)
     for number in designs:
-        for wearer in prepare(recipe.seed, number, config).dressed:
-            yield wearer.index, encode_pattern(wearer.pattern)
+        worn = list[DressedDesign]()
+        while not worn or not worn[-1].is_outermost:
+            under = tuple(DrapedDesign(inner, ()) for inner in worn)
+            worn.append(prepare(recipe.seed, number, config, under=under))
+        for wearers in zip(*(design.dressed for design in worn), strict=True):
+            yield wearers[0].index, *(encode_pattern(wearer.pattern) for wearer in wearers)
 
 
 def main() -> None:

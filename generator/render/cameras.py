@@ -12,6 +12,8 @@ from gcd_dataset.records import Record
 
 FILM = 24.0  # mm; height of a frame of 35 mm film, for which focal lengths are stated
 FIXED_DISTANCE = 520.0  # cm from a fixed camera to the centre of the scene
+FACING = {"front": (0.0, 0.0, 1.0), "side": (1.0, 0.0, 0.0), "back": (0.0, 0.0, -1.0)}
+"""Direction to each fixed camera; the side is the wearer's left."""
 FIXED_MARGIN = 1.04  # width of its field of view over the larger side of the box round the scene
 
 
@@ -125,16 +127,15 @@ def draw_camera(rng: np.random.Generator, scene: Scene, *, ranges: CameraRanges 
 
 
 def fixed_camera(scene: Scene, side: str = "front") -> Camera:
-    """The camera of the plain ``front`` or ``back`` picture. Raises ``ConfigError`` for another side."""
-    if side not in ("front", "back"):
-        raise ConfigError(f"a fixed camera at {side!r}: choose front or back")
-    low, high = scene.bounds()
+    """The camera of a plain picture, from a side of ``FACING``. Raises ``ConfigError`` for another side."""
+    if side not in FACING:
+        raise ConfigError(f"a fixed camera at {side!r}: choose {', '.join(FACING)}")
+    (low, high), facing = scene.bounds(), np.array(FACING[side])
     width = FIXED_MARGIN * float(max(high[0] - low[0], high[1] - low[1]))
     # The nearest side of the box needs the widest angle.
-    focal = (FIXED_DISTANCE - 0.5 * float(high[2] - low[2])) / width
+    focal = (FIXED_DISTANCE - 0.5 * float(np.abs(facing) @ (high - low))) / width
     middle = 0.5 * (low + high)
-    facing = 1.0 if side == "front" else -1.0
-    return look_at(middle + [0.0, 0.0, facing * FIXED_DISTANCE], middle, focal=focal)
+    return look_at(middle + FIXED_DISTANCE * facing, middle, focal=focal)
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers

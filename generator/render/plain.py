@@ -47,9 +47,9 @@ def start_plain(
 def render_view(
     scene: Scene, *, size: int = 512, view: str = "front", device: str = "auto"
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """A square picture of a scene in plain colours, framed alike from the front and from behind.
+    """A square picture of a scene in plain colours, framed alike from the front, from behind and from the ``side``.
 
-    Raises ``ConfigError`` for a missing device, a size below 1, or a view besides ``front`` and ``back``.
+    Raises ``ConfigError`` for a missing device, a size below 1, or another view.
     """
     [picture] = start_plain([scene], size=size, sides=(view,), device=device).lend_rgb()
     return picture.copy()

@@ -77,6 +77,34 @@ def test_patterns_of_a_recipe_with_maps_and_views_are_made_without_draping(tmp_p
     assert PatternHash.of(made_patterns(rich, [0])).text == PatternHash.of(made_patterns(plain, [0])).text
 
 
+def test_outfits_that_differ_in_an_outer_garment_are_reported(tmp_path: Path) -> None:
+    """The outfits of two recipes have the same innermost garments; the patterns of all are those that were made."""
+    hashes = []
+    for skirt in ("0.3", "0.6"):
+        (tmp_path / f"{skirt}.toml").write_text(OUTFITS.replace("0.3", skirt))
+        options = f'stage = "pattern"\nmax_attempts = 99\noutfits = "{tmp_path}/{skirt}.toml"'
+        recipe = find_recipe(written(tmp_path, TINY.replace('stage = "pattern"', options)))
+        generate_recipe(tmp_path / skirt, recipe, workers=0)
+        assert not list(recipe_faults(tmp_path / skirt, recipe))
+        record = (read_manifest(tmp_path / skirt) or pytest.fail("no manifest")).recipe or pytest.fail("no recipe")
+        hashes.append(record.patterns)
+        assert PatternHash.of(made_patterns(recipe, range(10))).agrees(record.patterns)
+    assert hashes[0] != hashes[1]
+
+
+OUTFITS = """
+[designs.shirt]
+meta = { upper = "Shirt", wb = "none", bottom = "none" }
+left.enable_asym = false
+shirt = { length = 1.2, strapless = false }
+[designs.skirt]
+meta = { upper = "none", bottom = "PencilSkirt" }
+pencil-skirt = { length = 0.3, flare = 1.1, style_side_cut = "none" }
+[[outfits]]
+worn = [{ design = "shirt" }, { design = "skirt" }]
+"""
+
+
 def test_a_split_that_is_missing_or_another_is_reported(copy: Path, recipe: Recipe) -> None:
     manifest = read_manifest(copy) or pytest.fail("no manifest")
     splits = {name.replace("test", "tset"): split for name, split in manifest.splits.items()}

@@ -40,11 +40,11 @@ from gcd_dataset.loaders import (
     Hdf5Garments,
     PublishedGarmentCodeData,
 )
-from gcd_dataset.records import Drape, Outcome, Sample
+from gcd_dataset.records import Drape, Layer, Outcome, Outfit, Sample, WornGarment
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.codec import decode_field, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
-from gcd_dataset.shards.layout import FIELDS
+from gcd_dataset.shards.layout import FIELDS, fields_of, member_of
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from gcd_dataset.viewer.design_desk import Desk, controls
 from gcd_dataset.viewer.garments import spec_album
@@ -173,15 +173,22 @@ def _member(_: Path, field: str) -> Reader:
     return Reader(encode_sample(garments()[0])[FIELDS[field]], partial(_decoded, field), protected=False)
 
 
+@cache
+def outfit() -> Mapping[str, bytes]:
+    """The members of both garments as an outfit."""
+    worn = [WornGarment(one.pattern, one.design, one.box_mesh, one.drape, one.fabric) for one in garments()]
+    return encode_sample(replace(garments()[0], outfit=Outfit(tuple(worn), (Layer(0, 1, 2, 3, 0.5),))))
+
+
 def _sample(_: Path, field: str) -> Reader:
-    """A whole sample with one member replaced."""
-    members = encode_sample(garments()[0])
+    """A whole outfit with one member replaced."""
+    member = member_of(field)
 
     def read(data: bytes) -> Any:
         data = _sealed_again(data) if field == "meta" else data
-        return _plain(encode_sample(decode_sample({**members, FIELDS[field]: data})))
+        return _plain(encode_sample(decode_sample({**outfit(), member: data}), garments=2))
 
-    return Reader(members[FIELDS[field]], read, protected=False)
+    return Reader(outfit()[member], read, protected=False)
 
 
 def _sealed_again(data: bytes) -> bytes:
@@ -196,8 +203,8 @@ def _decoded(field: str, data: bytes) -> Any:
 
 def _sections(_: Path, member: str) -> Reader:
     """The sections of a member, framed again, so that the checks after Zstandard's checksum are tried."""
-    members = encode_sample(garments()[0])
-    fields = [field for field, its in FIELDS.items() if its == member]
+    members = outfit()
+    fields = [field for field, its in fields_of(members).items() if its == member]
 
     def read(data: bytes) -> Any:
         return _plain(decode_fields({**members, member: zstandard.compress(data)}, fields))
@@ -370,6 +377,8 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "member-array": partial(_member, field="edges"),
     "member-ids": partial(_member, field="faces"),
     "sections-pattern": partial(_sections, member="pattern.z"),
+    "sections-outer-pattern": partial(_sections, member="g1.pattern.z"),
+    "sections-outer-mesh": partial(_sections, member="g1.mesh.z"),
     "sections-mesh": partial(_sections, member="mesh.z"),
     "sections-verts": partial(_sections, member="verts.z"),
     "sections-points": partial(_sections, member="points.z"),
@@ -377,6 +386,9 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "sample-meta": partial(_sample, field="meta"),
     "sample-measures": partial(_sample, field="measures"),
     "sample-spec": partial(_sample, field="spec"),
+    "sample-outer-spec": partial(_sample, field="g1_spec"),
+    "sample-outer-design": partial(_sample, field="g1_design"),
+    "sample-outer-verts": partial(_sample, field="g1_verts"),
     "sample-faces": partial(_sample, field="faces"),
     "loader-state": _state,
     "release-archive": partial(_published, ending="data.tar.gz", packed=True),
@@ -413,7 +425,7 @@ DOCUMENTS: dict[str, Callable[[bytes], Any]] = {
     name: yaml.safe_load if name in ("measurements", "design", "release-design", "release-labels") else json.loads
     for name in (
         *("specification", "manifest", "loader-state", "body-parts", "release-split", "member-meta", "sample-meta"),
-        *("sample-measures", "landmarks", "viewer-design"),
+        *("sample-outer-spec", "sample-outer-design", "sample-measures", "landmarks", "viewer-design"),
         *("measurements", "design", "release-design", "release-labels"),
     )
 }

@@ -2,15 +2,19 @@
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gcd_dataset.cli import main
-from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator import build_pattern
+from gcd_dataset.errors import ConfigError, DrapeError
+from gcd_dataset.generator import build_pattern, fitting
+from gcd_dataset.generator.body import build_body, neutral_shape
+from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.outfits import order_fault, read_outfits, worn_open
@@ -210,6 +214,33 @@ def test_a_jacket_worn_open_is_not_tucked(garments: dict[str, Pattern]) -> None:
     assert "whose front is open" in order_fault([opened], garments["trousers"], NEUTRAL)
 
 
+def test_outfits_end_with_a_stage_before_the_drape(config: MakeConfig, alone: Sample) -> None:
+    [meshed] = produce(3, [1], replace(config, stage="mesh"))
+    assert meshed.outfit is not None and alone.outfit is not None
+    for found, draped in zip(meshed.outfit.garments, alone.outfit.garments, strict=True):
+        assert (found.box_mesh, found.drape) == (draped.box_mesh, None)
+    assert meshed.outfit.layers == ()
+
+
+def test_a_shirt_is_tucked_below_the_top_edge_of_the_skirt_over_it(
+    garments: dict[str, Pattern], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    skirt, jobs = garments["skirt"], list[DrapeJob]()
+    raised = [replace(p.placement, translation=p.placement.translation + [0.0, 8.0, 0.0]) for p in skirt.panels]
+    panels = zip(skirt.panels, raised, strict=True)
+    high = replace(skirt, panels=tuple(replace(panel, placement=to) for panel, to in panels))
+
+    def stop(given: Sequence[DrapeJob], *, device: str) -> None:
+        jobs.extend(given)
+        raise DrapeError("seen")
+
+    monkeypatch.setattr(fitting, "drape_outfit", stop)
+    body = build_body(neutral_shape())
+    with pytest.raises(DrapeError, match="seen"):
+        fitting.drape_together([garments["shirt"], high], lambda _: (body, NEUTRAL), resolution=4.0, device="cpu")
+    assert [job.tucked_below for job in jobs] == [pytest.approx(NEUTRAL.waist_level + 8.0, abs=0.1), -np.inf]
+
+
 def test_drape_wears_files_in_the_order_given(
     garments: dict[str, Pattern], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -240,4 +271,5 @@ def test_drape_wears_files_in_the_order_given(
     assert [(row["inner"], row["outer"]) for row in report["layers"]] == [(0, 1)]
     assert b"garment_1" in (tmp_path / "out" / "outfit.glb").read_bytes()
     assert "o garment_1\n" in (tmp_path / "out" / "outfit.obj").read_text()
-    assert {"outfit.ply", "outfit_front.png", "outfit_back.png"} <= {p.name for p in (tmp_path / "out").iterdir()}
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"outfit.ply", "outfit_front.png", "outfit_side.png", "outfit_back.png"} <= written

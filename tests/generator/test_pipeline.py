@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gcd_dataset.errors import ConfigError, MeshError, PatternError
+from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
@@ -189,6 +189,11 @@ class Failing:
 
     def __exit__(self, *_: object) -> None:
         self.replies.clear()
+
+
+def test_a_draper_that_makes_no_maps_is_named() -> None:
+    with pytest.raises(DrapeError, match=r"the draper made no maps: .* where DrapeRequest.maps is set"):
+        next(produce(5, [0], replace(DRAPED, picture=0, maps=True), draper=Failing(0)))
 
 
 def test_failed_drapes_raise_the_number_of_attempts() -> None:

@@ -13,7 +13,7 @@ from gcd_dataset.generator.drape import drape_batch
 from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.jacobian import moved
 from gcd_dataset.generator.quality import sample_surface
-from gcd_dataset.generator.search import ScanPoints, Target, search
+from gcd_dataset.generator.search import ScanPoints, Target, gauss_newton, search
 from gcd_dataset.generator.silhouettes import Silhouettes
 from tests.generator.test_silhouettes import cut_out
 
@@ -33,8 +33,9 @@ def faces() -> np.ndarray:
 
 
 @pytest.mark.parametrize(("partial", "known"), [(False, 2), (True, 1)])
-def test_parameters_are_found_on_a_linear_map(partial: bool, known: int) -> None:
-    """Drop and width of a sheet; a scan of a part does not show where the sheet ends."""
+def test_parameters_are_found_on_a_linear_map(partial: bool, known: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drop and width of a sheet, vaguely proposed; a scan of a part does not show where the sheet ends."""
+    monkeypatch.setattr("gcd_dataset.generator.search.PROPOSED", 0.2)
     base = sheet(0.0, 0.0)
     derivatives = np.stack([sheet(20.0, 0.0) - base, sheet(0.0, 1.0) - base]) * [[[1.0]], [[30.0]]]
     worn = SimpleNamespace(job=SimpleNamespace(box_mesh=SimpleNamespace(faces=faces())))
@@ -46,9 +47,17 @@ def test_parameters_are_found_on_a_linear_map(partial: bool, known: int) -> None
     if partial:
         rows = rows[points[rows, 0] < 40]
     scan = ScanPoints.of(np.concatenate([points, normals], axis=1)[rows], partial=partial)
-    assert scan.change(jacobian, step=0.1)[:known] == pytest.approx(
-        [0.1, 0.1][:known], abs=0.025
-    )  # the prior holds back
+    found = scan.change(jacobian, step=0.1, offset=np.zeros(2))
+    assert found[:known] == pytest.approx([0.1, 0.1][:known], abs=0.025)  # the prior holds back
+
+
+def test_parameters_that_a_scan_does_not_show_go_back_to_the_proposal() -> None:
+    shown = np.array([[80.0, 80.0, 80.0], [0.0, 0.0, 0.0]])  # cm from end to end of the range
+
+    def rows(change: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, float]]:
+        return [(change @ shown - 4.0, shown, 1.0)]
+
+    assert gauss_newton(rows, 0.1, np.array([0.0, 0.04])) == pytest.approx([0.05, -0.04], abs=0.02)
 
 
 @pytest.mark.parametrize("pictured", [False, True])

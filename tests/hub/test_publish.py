@@ -21,8 +21,10 @@ from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import BodyShape, Sample
 from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards.layout import garments_layout
 from gcd_dataset.shards.manifest import read_manifest
 from tests.hub.server import Fault, Hub, read_folder
+from tests.shards.folders import fake_outfit
 
 # A deprecation within ``huggingface_hub``.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
@@ -91,6 +93,23 @@ def test_garments_that_share_a_body_or_a_pattern_stay_together(tmp_path: Path) -
     samples[3] = replace(samples[3], pattern=replace(samples[1].pattern, name=samples[3].pattern.name))
     put(tmp_path / "b", [replace(made, box_mesh=None, drape=None) for made in samples])
     assert families(traits_of(ShardReader(tmp_path / "b"))).tolist() == [0, 1, 2, 1, 3]
+
+
+def test_outfits_that_share_a_garment_stay_together(tmp_path: Path) -> None:
+    """The second outfit's coat is worn alone in the fourth; the fifth has the design of the first's skirt."""
+    outfits = [fake_outfit(index, 2) for index in range(3)]
+    assert outfits[1].outfit is not None
+    coat = outfits[1].outfit.garments[1]
+    alone = replace(fake_sample(0, 3), pattern=coat.pattern, design=coat.design, box_mesh=None, drape=None)
+    last = replace(fake_sample(0, 4), design=outfits[0].design)
+    for name, samples in {"a": [*outfits, alone, last], "b": [alone, last], "c": outfits}.items():
+        layout, numbered = garments_layout(garments=2), {one.provenance.index: one for one in samples}
+        with ShardWriter(tmp_path / name, seed=0, recipe={}, layout=layout) as writer:
+            for _, one in sorted(numbered.items()):
+                writer.write(one)
+    assert families(traits_of(ShardReader(tmp_path / "a"))).tolist() == [0, 1, 2, 1, 0]
+    readers = {name: ShardReader(tmp_path / name) for name in ("b", "c")}
+    assert leaks(readers) == ["b and c share 2 designs"]
 
 
 def test_a_garment_keeps_its_split_when_the_data_set_grows(both: Path, tmp_path: Path) -> None:

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from gcd_dataset.loaders.fake import FakeGarments, fake_sample
+from gcd_dataset.loaders.fake import FakeGarments
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.codec import encode_sample
 from tests.loaders.rendered import COUNT, samples, write
 
 
 @pytest.fixture(scope="package", autouse=True)
 def _fake_garments_made_once() -> Iterator[None]:
-    members = cache(lambda seed, position: encode_sample(fake_sample(seed, position)))
+    made = FakeGarments._members
+    members = cache(lambda seed, most, position: made(FakeGarments(position + 1, seed, garments=most), position, ()))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(FakeGarments, "_members", lambda ds, position, names: members(ds._seed, position))
+        patch.setattr(FakeGarments, "_members", lambda ds, position, names: members(ds._seed, ds._most, position))
         yield
 
 

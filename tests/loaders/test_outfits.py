@@ -16,6 +16,7 @@ from gcd_dataset.loaders import (
     FakeGarments,
     GarmentDataset,
     GarmentLoader,
+    MixedDataset,
     OutfitCloth,
     Scan,
     Sketch,
@@ -80,6 +81,23 @@ def test_outfits_are_joined_to_one_cloth(folder: Path) -> None:
         assert not any(name.startswith("g1_") for name in whole)
 
 
+def test_fake_outfits_have_the_fields_of_a_set_of_outfits(folder: Path) -> None:
+    """Also the types and row shapes of each; a fifth outfit has two garments, the next three."""
+    outfits, stored = FakeGarments(6, garments=3), GarmentDataset(folder, cache_dir=folder / "cache")
+    assert outfits.fields == stored.fields
+    for fake, real in zip(outfits, stored, strict=False):
+        assert fake.keys() == real.keys() and fake["meta"].keys() == real["meta"].keys()
+        for name, value in dict[str, Any](real).items():
+            if isinstance(value, torch.Tensor):
+                assert (fake[name].dtype, fake[name].shape[1:]) == (value.dtype, value.shape[1:]), name  # type: ignore[literal-required]
+    whole = OutfitCloth()(collate_packed([*map(dict, outfits)]).garment(5))
+    assert [len(outfits[k]["meta"]["outfit"]) for k in (4, 5)] == [2, 3]
+    assert whole["garment_id"].unique().tolist() == [0, 1, 2]
+    assert [len(garment.outfit.garments) for k in (0, 1) if (garment := outfits.sample(k)).outfit] == [2, 3]
+    with pytest.raises(ConfigError, match="garments=9: give 8 or less"):
+        FakeGarments(1, garments=9)
+
+
 def test_lines_of_joined_garments_keep_their_seams() -> None:
     """The last stitch of the second garment joins an edge to its second line."""
     first = dict[str, Any](FakeGarments(1, fields=("edges", "stitches", "panels", "lines"))[0])
@@ -108,6 +126,18 @@ def test_a_loader_packs_joined_outfits(folder: Path) -> None:
     assert OutfitCloth()(FakeGarments(1)[0])["garment_id"].unique().tolist() == [0]
     with pytest.raises(ConfigError, match="only some garments of the batch have verts"):
         OutfitCloth()({"g1_verts": torch.zeros(3, 3)})
+
+
+def test_outfits_are_mixed_with_single_garments(folder: Path) -> None:
+    """Joined, in batches of both."""
+    sets = GarmentDataset(folder, cache_dir=folder / "cache"), FakeGarments(4, seed=3)
+    batch = next(iter(GarmentLoader(MixedDataset(sets, [1, 1], transform=OutfitCloth()), 8)))
+    counts = sorted(
+        int(ids.max()) + 1 for ids in batch["garment_id"].split(batch.varlen("verts").cu_seqlens.diff().tolist())
+    )
+    assert counts == sorted([*COUNTS, 1, 1, 1, 1])
+    with pytest.raises(ConfigError, match=r"have g1_box, .*: choose the same fields, or OutfitCloth"):
+        next(iter(GarmentLoader(MixedDataset(sets, [1, 1]), 8)))
 
 
 def test_all_garments_turn_together(folder: Path) -> None:

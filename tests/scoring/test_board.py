@@ -13,7 +13,7 @@ from gcd_dataset.cli import main
 from gcd_dataset.generator.render import look_at
 from gcd_dataset.generator.silhouettes import Silhouettes
 from gcd_dataset.scoring.board import read_card, tables
-from gcd_dataset.scoring.inputs import TASKS
+from gcd_dataset.scoring.inputs import PICTURE_SIZE, TASKS
 
 CARD = 'name = "net"\ngarments = 4000\nminutes = 8\nweights = 1000000\nhardware = "one GPU"\n'
 
@@ -162,7 +162,7 @@ def test_photographs_are_laid_out_as_pictures_of_t2(tmp_path: Path, capsys: pyte
     names = [f"{name}_{k}.png" for name in ("IMG_0412", "IMG_0413", "coat", "shirt") for k in range(4)]
     assert sorted(path.name for path in (out / "inputs").iterdir()) == names
     with Image.open(out / "inputs" / "shirt_3.png") as image:
-        assert image.size == (128, 128)
+        assert image.size == (PICTURE_SIZE, PICTURE_SIZE)
         assert image.getpixel((0, 64)) == (255, 255, 255)
         assert image.getpixel((64, 64))[0] > 250 > 20 > image.getpixel((64, 64))[1]  # type: ignore[index]
     (photographs / "bad.png").write_text("x")

@@ -11,8 +11,9 @@ from typing import Any
 
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.loaders import fake
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Layer, NamedFabric, Outfit, Sample, WornGarment
+from gcd_dataset.records import Outfit, Sample
 from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.layout import garments_layout
 from gcd_dataset.shards.tar import END, tar_entry
@@ -35,29 +36,13 @@ def open_writer(folder: Path, *, seed: int = 0, split: str = "train") -> ShardWr
 
 
 def fake_outfit(index: int, count: int, **changes: Any) -> Sample:
-    """A skirt and ``count`` - 1 others, each 15 cm lower than the one before; ``changes``: to each."""
-    skirts = [fake_sample(0, index), *(fake_sample(1, 10 * index + number) for number in range(1, count))]
-    inner, *_ = skirts = [replace(_lowered(skirt, 15.0 * number), **changes) for number, skirt in enumerate(skirts)]
-    garments = tuple(
-        WornGarment(
-            skirt.pattern,
-            skirt.design,
-            skirt.box_mesh,
-            skirt.drape,
-            NamedFabric("denim", {"density": 0.4}) if number else inner.fabric,
-            tucked=number == 0,
-            closed=number != 1,
-        )
-        for number, skirt in enumerate(skirts)
-    )
-    pairs = [(i, o) for o in range(count) for i in range(o) if inner.drape is not None]
-    layers = tuple(Layer(i, o, 7 * i + o, 20 + o, 0.25 * i) for i, o in pairs)
-    return inner if count == 1 else replace(inner, outfit=Outfit(garments, layers))
-
-
-def _lowered(sample: Sample, height: float) -> Sample:
-    assert sample.drape is not None
-    return replace(sample, drape=replace(sample.drape, vertices=sample.drape.vertices - [0.0, height, 0.0]))
+    """An outfit of so many skirts; ``changes``: to the sample, and to each garment of what garments have."""
+    sample = fake.fake_outfit(0, index, count)
+    if sample.outfit is not None:
+        own = {name: value for name, value in changes.items() if name in vars(sample.outfit.garments[0])}
+        worn = tuple(replace(garment, **own) for garment in sample.outfit.garments)
+        changes["outfit"] = Outfit(worn, () if worn[0].drape is None else sample.outfit.layers)
+    return replace(sample, **changes)
 
 
 def fill_outfits(folder: Path, counts: Sequence[int], **changes: Any) -> Path:

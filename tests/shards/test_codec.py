@@ -34,7 +34,7 @@ from gcd_dataset.records import (
     Strain,
 )
 from gcd_dataset.shards import FIELDS, MEMBERS, decode_fields, decode_sample, encode_sample
-from gcd_dataset.shards.codec import MESH_CODINGS, spread, stored_pattern
+from gcd_dataset.shards.codec import MESH_CODINGS, patterns_of, spread
 from gcd_dataset.shards.layout import garments_layout, is_picture
 from gcd_dataset.shards.sections import HEAD, Coding, pack, unpack
 from gcd_dataset.tensors import decode_pattern
@@ -360,7 +360,7 @@ def test_sections_that_contradict_each_other_are_one_sentence(sample: Sample) ->
 def test_closures_are_stored_where_a_seam_is_not_sewn(sample: Sample) -> None:
     seams = (replace(sample.pattern.seams[0], closure=Closure.ZIP, closed=(0.3, 1.0)), sample.pattern.seams[1])
     zipped = encode_sample(replace(sample, pattern=replace(sample.pattern, seams=seams)))
-    assert decode_sample(zipped).pattern.seams == decode_pattern(stored_pattern(zipped)).seams == seams
+    assert decode_sample(zipped).pattern.seams == decode_pattern(next(patterns_of(zipped))).seams == seams
     sewn = encode_sample(sample)
     assert "closures" not in unpack(sewn["pattern.z"])
     assert decode_fields(sewn, ["closures"])["closures"].tolist() == [[0, 0, 1], [0, 0, 1]]
@@ -372,7 +372,7 @@ def test_lines_are_stored_where_there_are_any(sample: Sample) -> None:
     pattern = replace(sample.pattern, panels=(lined, *sample.pattern.panels[1:]))
     stored = encode_sample(replace(sample, pattern=pattern))
     assert decode_sample(stored).pattern.panels[0].lines == lined.lines
-    assert decode_pattern(stored_pattern(stored)).panels[0].lines == lined.lines
+    assert decode_pattern(next(patterns_of(stored))).panels[0].lines == lined.lines
     plain = encode_sample(sample)
     assert "lines" not in unpack(plain["pattern.z"])
     assert decode_fields(plain, ["lines"])["lines"].shape == (0, 17)

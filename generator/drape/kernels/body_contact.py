@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False})
 SMOOTHED = 0.3  # friction factor of a held garment, which is being smoothed into place
 GRIP = 2.0  # friction factor of keepers: the edges that keep a garment up are faced with grip tape
 FAR = wp.constant(1.0e3)  # cm, distance from a body part that a vertex passes through
-FOLDED = 1.0  # of the way toward the skin: how far tucked cloth is also moved to the back, which folds it over
+BAND = wp.constant(4.0)  # cm outside the skin in which distances are exact, ``body_field.BAND``
 BEYOND = 3.9  # cm: a field has no gradient where it ends, ``body_field.BAND``
 LEFT_ARM, RIGHT_ARM = wp.constant(1), wp.constant(2)  # columns of ``ClothArrays.axes``
 FIELD_ERROR = 0.5  # cm, of the field beside worn cloth
@@ -22,8 +22,38 @@ MIDDLE_SHARE = 0.5  # share of ``body_gap`` that the inside of a long edge keeps
 
 
 @wp.func
+def skin_distance(skin: wp.uint64, x: wp.vec3) -> wp.vec4:
+    """Unit gradient and value of the signed distance from a skin [cm]; ``BAND`` at least that far outside."""
+    near = wp.mesh_query_point_sign_normal(skin, x, BAND)
+    if not near.result:
+        return wp.vec4(0.0, 1.0, 0.0, BAND)
+    away = near.sign * (x - wp.mesh_eval_position(skin, near.face, near.u, near.v))
+    distance = wp.length(away)
+    normal = wp.mesh_eval_face_normal(skin, near.face)
+    if distance > 1.0e-4:
+        normal = away / distance
+    return wp.vec4(normal[0], normal[1], normal[2], near.sign * distance)
+
+
+@wp.func
+def skin_velocity(world: World, x: wp.vec3) -> wp.vec3:
+    """Velocity of the skin nearest to ``x`` [cm/s]; zero far from the skin, and of one that stands still."""
+    if world.skin == wp.uint64(0):
+        return wp.vec3(0.0)
+    near = wp.mesh_query_point_no_sign(world.skin, x, BAND)
+    if not near.result:
+        return wp.vec3(0.0)
+    return wp.mesh_eval_velocity(world.skin, near.face, near.u, near.v)
+
+
+@wp.func
 def sample_field(world: World, x: wp.vec3) -> wp.vec4:
-    """Unit gradient and value [cm] of the signed distance at ``x``, trilinear; 1000 cm beyond the grid."""
+    """Unit gradient and value [cm] of the signed distance at ``x``, trilinear; 1000 cm beyond the grid.
+
+    From the mesh of a skin that moves: no field is rebuilt.
+    """
+    if world.skin != wp.uint64(0):
+        return skin_distance(world.skin, x)
     g = (x - world.field_origin) / world.field_cell
     nx = world.field_size[0]
     ny = world.field_size[1]
@@ -66,6 +96,11 @@ def sample_field(world: World, x: wp.vec3) -> wp.vec4:
 @wp.func
 def voxel_at(world: World, x: wp.vec3) -> int:
     """The body part nearest to the voxel that contains ``x``; with ``ON_CLOTH`` where worn cloth is nearer."""
+    if world.skin != wp.uint64(0):
+        near = wp.mesh_query_point_no_sign(world.skin, x, 2.0 * BAND)
+        if not near.result:
+            return 0
+        return int(world.face_parts[near.face]) & (ON_CLOTH - 1)
     g = (x - world.field_origin) / world.field_cell
     i = wp.clamp(int(wp.round(g[0])), 0, world.field_size[0] - 1)
     j = wp.clamp(int(wp.round(g[1])), 0, world.field_size[1] - 1)
@@ -133,7 +168,10 @@ def push_long_edge(
     for quarter in range(1, 4):
         t = 0.25 * float(quarter)
         before = wp.lerp(x[i], x[j], t)
-        here = before + world.dt * wp.lerp(v[i], v[j], t)
+        # Positions relative to the mesh, which lags behind the skin.
+        carried = wp.lerp(cloth.skin_velocity[i], cloth.skin_velocity[j], t)
+        before -= cloth.skin_lag[cloth.vertex_world[i]] * carried
+        here = before + world.dt * (wp.lerp(v[i], v[j], t) - carried)
         near = sample_field(world, here)
         if near[3] >= world.body_gap:
             continue
@@ -177,17 +215,10 @@ def find_skin(i: int, p: wp.vec3, world: World, cloth: ClothArrays) -> wp.vec4:
 
 @wp.func
 def tuck_in(i: int, p: wp.vec3, near: wp.vec4, world: World, cloth: ClothArrays) -> wp.vec4:
-    """A plane that keeps a tucked vertex within ``World.tuck`` of the skin: normal, and distance of ``p`` [cm].
-
-    The normal leans to the back: pressed straight to the skin, spare cloth would stand out in fins.
-    """
+    """A plane that keeps a tucked vertex within ``World.tuck`` of the skin: normal, and distance of ``p`` [cm]."""
     inward = -wp.vec3(near[0], near[1], near[2])
     if near[3] > BEYOND:
         inward = toward_part(i, cloth, p)
-    back = wp.cross(wp.vec3(0.0, 1.0, 0.0), inward)
-    if back[2] > 0.0:
-        back = -back
-    inward = wp.normalize(inward + FOLDED * back)
     return wp.vec4(inward[0], inward[1], inward[2], world.body_gap + world.tuck - near[3])
 
 

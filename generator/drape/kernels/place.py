@@ -135,6 +135,7 @@ def place_vertices(
     state.v[j] = given_v[i]
     state.ahead[j] = here + (LOOK_AHEAD * place.dt) * given_v[i]
     search.skin[j] = wp.vec4(0.0)
+    cloth.skin_velocity[j] = wp.vec3(0.0)
     search.listed[j] = 0
     state.contact_weight[j] = 1.0
     state.beside[j] = 1

@@ -7,7 +7,7 @@ their nearest vertices lists the contact.
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.body_contact import FAR, find_skin, sample_field
+from gcd_dataset.generator.drape.kernels.body_contact import FAR, find_skin, sample_field, skin_velocity
 from gcd_dataset.generator.drape.kernels.geometry import (
     closest_on_edges,
     closest_on_triangle,
@@ -118,6 +118,7 @@ def find_near_vertices(
     # state out
     x_searched: wp.array(dtype=wp.vec3),
     skin: wp.array(dtype=wp.vec4),
+    velocity: wp.array(dtype=wp.vec3),
     beside: wp.array(dtype=int),
     contacts: Contacts,
 ):
@@ -133,7 +134,8 @@ def find_near_vertices(
     p = x[i]
     if thread == 0:
         x_searched[i] = p
-        skin[i] = find_skin(i, p, world, cloth)
+        velocity[i] = skin_velocity(world, p)
+        skin[i] = find_skin(i, p - cloth.skin_lag[w] * velocity[i], world, cloth)
     own = cell_of(p, world.near)
     for neighbour in range(OWN_CELL + thread, 27, threads):
         cell = own + wp.vec3i(neighbour % 3 - 1, (neighbour // 3) % 3 - 1, neighbour // 9 - 1)

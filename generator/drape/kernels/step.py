@@ -79,7 +79,11 @@ def step(
     world = worlds[w]
     before = x[i]
     elastic = elastic_force(i, sewn_share(world, time[w]), rows, ahead_in)
-    velocity = accelerate(i, world, time[w], cloth, v[i], elastic)
+    if world.skin != wp.uint64(0):  # drag on the motion relative to the skin: it is no air
+        along = cloth.skin_velocity[i]
+        velocity = along + accelerate(i, world, time[w], cloth, v[i] - along, elastic)
+    else:
+        velocity = accelerate(i, world, time[w], cloth, v[i], elastic)
     moved = wp.vec3(0.0)
     pressure = float(0.0)
     if search.listed[i] != 0:
@@ -90,9 +94,18 @@ def step(
     if held[w] != 0:
         moved += hold(i, here + moved, before, world, cloth)
     skin = search.skin[i]
+    carried = wp.vec3(0.0)
+    if world.skin != wp.uint64(0):  # the plane that stands for the skin moves with it
+        carried = world.dt * cloth.skin_velocity[i]
+        skin[3] -= carried[0] * skin[0] + carried[1] * skin[1] + carried[2] * skin[2]
+        search.skin[i] = skin
+        if i == world.first:
+            cloth.skin_lag[w] = cloth.skin_lag[w] + world.dt
+        if before_search and wp.length_sq(carried) > 0.0:
+            search.moved_far[w] = 1
     if skin[3] < world.clear:
         friction = skin_friction(world, held[w], cloth.keeper[i] != wp.uint8(0))
-        moved += keep_off_body(here + moved, before, pressure, friction, world, skin, search.x[i])
+        moved += keep_off_body(here + moved, before + carried, pressure, friction, world, skin, search.x[i])
     here += moved
     velocity = limit_speed(velocity + moved / world.dt, world.max_speed)
     x[i] = here

@@ -211,6 +211,26 @@ def describe_edges(
 
 
 @wp.kernel
+def take_in(
+    edges: wp.array(dtype=wp.vec2i),
+    start: wp.array(dtype=wp.vec3),
+    width: wp.array(dtype=float),
+    # in and out
+    spring: wp.array(dtype=wp.vec3),
+):
+    """Shorten the flat lengths across the body to the mean ``width`` of both ends, a share; panels start upright."""
+    e = wp.tid()
+    low = edges[e][0]
+    high = edges[e][1]
+    share = 0.5 * (width[low] + width[high])
+    if share < 1.0:
+        length = spring[e][1]
+        down = wp.min(wp.abs(start[high][1] - start[low][1]), length)
+        across = share * wp.sqrt(length * length - down * down)
+        spring[e] = wp.vec3(spring[e][0], wp.length(wp.vec2(across, down)), spring[e][2])
+
+
+@wp.kernel
 def key_corners(
     faces: wp.array(dtype=wp.vec3i),
     # out

@@ -54,6 +54,8 @@ class World:
     field_size: wp.vec3i  # voxels along x, y, z
     field_origin: wp.vec3  # cm, centre of the first voxel
     field_cell: float  # cm
+    skin: wp.uint64  # mesh of a skin that moves, which stands for the field; 0 for one that stands still
+    face_parts: wp.array(dtype=wp.uint8)  # body part of each face of the skin
     tucked_below: float  # cm, height below which the cloth is tucked into another garment
     tuck: float  # cm, largest distance of tucked cloth from the skin
     worn: wp.array(dtype=wp.uint64)  # meshes of the garments under this one
@@ -81,6 +83,8 @@ class ClothArrays:
     keeper: wp.array(dtype=wp.uint8)  # (v) 1 where a vertex keeps the garment up
     ignored_parts: wp.array(dtype=int)  # (v) bit set of the body parts that the vertex passes through
     body_mesh: wp.array(dtype=wp.uint64)  # (w) mesh of the skin
+    skin_velocity: wp.array(dtype=wp.vec3)  # (v) velocity of the nearest skin at the last search [cm/s]
+    skin_lag: wp.array(dtype=float)  # (w) time since a skin that moves was where its mesh is [s]
 
 
 @wp.struct

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,11 @@ def test_designs_are_proposed_for_photographs_without_cameras(tmp_path: Path) ->
     assert len([read_design(path) for path in (out / "coat").glob("*_design_params.yaml")]) == 2
     assert (out / "coat" / "coat_measurements.yaml").is_file()
     assert not (out / "none").exists()
+
+
+def test_an_unknown_device_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path), "--out", str(tmp_path / "out"), "--device", "nope"]) == 1
+    assert re.fullmatch(r"propose: .*nope.*\n", capsys.readouterr().err)
 
 
 def test_other_weights_than_described_are_refused(tmp_path: Path) -> None:

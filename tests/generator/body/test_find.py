@@ -13,7 +13,6 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from benchmarks.cases.measures import tolerance
-from benchmarks.skin import skin_crossings
 from gcd_dataset.cli import main
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import (
@@ -29,6 +28,7 @@ from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.generator.body.register import unit_of
 from gcd_dataset.generator.body.shape import T_POSE
+from gcd_dataset.generator.drape.self_contact import skin_crossings
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 from tests.generator.body.broken_bodies import broken_body

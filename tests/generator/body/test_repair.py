@@ -9,12 +9,12 @@ import pytest
 import trimesh
 from jaxtyping import Float, Int
 
-from benchmarks.skin import skin_crossings
 from gcd_dataset.bodyfiles import read_body_parts
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.repair import ROUNDS, WIDEST_HOLE, ClosedSkin, SkinMesh, _normals
+from gcd_dataset.generator.body.repair import ROUNDS, WIDEST_HOLE, ClosedSkin, SkinMesh, skin_normals
+from gcd_dataset.generator.drape.self_contact import skin_crossings
 from gcd_dataset.records import Body, BodyPart
 from gcd_dataset.seeding import Stage, rng
 from tests.helpers import body_from
@@ -122,7 +122,7 @@ def is_folded(skin: SkinMesh, vertices: np.ndarray) -> bool:
 
 def intersecting(skin: SkinMesh, vertices: np.ndarray) -> np.ndarray:
     """The faces near creases that intersect each other."""
-    return skin._intersecting(vertices, _normals(vertices, skin.faces))
+    return skin._intersecting(vertices, skin_normals(vertices, skin.faces))
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Garments draped over garments."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +11,12 @@ from gcd_dataset.generator.body.limbs import limbs_of
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, drape_outfit, layers_of
 from gcd_dataset.generator.drape.body_field import body_field
 from gcd_dataset.generator.drape.dressed import dressed
+from gcd_dataset.generator.drape.tucked import ROOM, widths
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.dressing.worn import WornCloth
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.records import BodyPart, Outcome
+from gcd_dataset.records import BodyPart, Layer, Outcome, PanelRole
 from tests.generator.drape.garments import neutral
 from tests.generator.drape.test_layers import ring, trunk
 from tests.helpers import SIZE, body_from, tube
@@ -29,7 +31,7 @@ def on_trunk(radius: float) -> DrapeJob:
 
 def test_the_field_of_a_dressed_body_is_lowered_to_the_cloth_and_covers_it() -> None:
     field, cloth = body_field(body_from(trunk()), "cpu"), ring(30.0)
-    over = dressed(field, [cloth], 0.0)
+    over = dressed(field, (cloth,), 0.0)
     low, at = np.array(over.origin), over.distance.numpy()
 
     def distance(x: float) -> float:
@@ -38,6 +40,19 @@ def test_the_field_of_a_dressed_body_is_lowered_to_the_cloth_and_covers_it() -> 
     assert distance(32.0) == pytest.approx(2.0, abs=0.5)
     assert distance(27.0) == pytest.approx(-3.0, abs=0.5)  # a tube of cloth is solid
     assert (low < np.array(field.origin)).any()
+
+
+def test_worn_cloth_is_built_on_a_device_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a GPU the name is the key of a stream."""
+    asked = list[str]()
+
+    def builds(device: str) -> nullcontext[None]:
+        asked.append(device)
+        return nullcontext()
+
+    monkeypatch.setattr("gcd_dataset.generator.drape.dressed.native_builds", builds)
+    dressed(body_field(body_from(trunk()), "cpu"), (ring(31.0),), 0.0)
+    assert {*asked} == {"cpu"}
 
 
 def test_a_ring_over_a_ring_rests_outside_it_and_the_same_in_a_batch() -> None:
@@ -91,14 +106,24 @@ def test_a_sleeve_is_rolled_round_the_sleeve_below(shirt_and_trousers: tuple[Dra
 
 
 def test_a_tucked_shirt_lies_inside_the_trousers(shirt_and_trousers: tuple[DrapeJob, DrapeJob]) -> None:
-    """Draped on their own, the shirt's hem lies outside the trousers; tucked, it lies inside and near the skin."""
+    """Draped on their own, the shirt's hem lies outside the trousers; tucked, it lies inside and nothing crosses."""
     shirt, trousers = shirt_and_trousers
     waist = float(trousers.box_mesh.vertices[:, 1].max())
     loose, alone = drape_batch([shirt, trousers], device="cpu")
     inner, outer = drape_outfit([replace(shirt, tucked_below=waist), trousers], device="cpu")
-    orders = []
+    layers = list[Layer]()
     for one, other in ((loose, alone), (inner, outer)):
         pair = [WornCloth.of(shirt.box_mesh, one.vertices), WornCloth.of(trousers.box_mesh, other.vertices)]
-        orders.append(layers_of(pair, shirt.body, device="cpu")[0].wrong_order)
-    assert orders[0] > 0.5
-    assert orders[1] < 0.05
+        layers += layers_of(pair, shirt.body, device="cpu")
+    assert layers[0].wrong_order > 0.5
+    assert (layers[1].crossings, layers[1].wrong_order) == (0, 0.0)
+
+
+def test_tucked_cloth_is_as_wide_as_the_skin() -> None:
+    """A ring of radius 15 round a trunk of radius 10 keeps two thirds of its width, and all of it where not tucked."""
+    ring = on_trunk(15.0)
+    labelled = replace(ring.box_mesh, panel_labels=(PanelRole.BODY,))
+    config = DrapeConfig(body_gap=0.0)
+    below = widths(replace(ring, box_mesh=labelled, tucked_below=100.0), config)
+    assert below == pytest.approx(np.full(len(below), (10.0 + ROOM) / 15.0), rel=0.02)
+    assert (widths(replace(ring, box_mesh=labelled), config) == 1.0).all()

@@ -6,7 +6,7 @@ import trimesh
 from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.generator.device import to_host
-from gcd_dataset.generator.drape import DrapeJob, drape_batch
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.drape.topology import build_topology
 from gcd_dataset.generator.ease import ease_of
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
@@ -74,7 +74,7 @@ def test_a_buttoned_shirt_is_as_wide_as_a_sewn_one() -> None:
 def test_each_layer_bends_on_its_own_over_a_sewn_line() -> None:
     """Every segment of the line is two edges, each with a hinge of the faces of one panel."""
     pattern, mesh = shirt("buttons")
-    topology = build_topology([DrapeJob(mesh, *neutral())], [np.zeros(0, int)], "cpu")
+    topology = build_topology([DrapeJob(mesh, *neutral())], DrapeConfig(), [np.zeros(0, int)], "cpu")
     ends, across = (to_host(array) for array in (topology.surface.edges, topology.surface.opposite))
     [row] = [row for row, seam in enumerate(pattern.seams) if seam.closure == "buttons"]
     on_line = mesh.seams[mesh.seams[:, 1] == row, 0]

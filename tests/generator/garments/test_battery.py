@@ -261,6 +261,7 @@ def test_garments_have_distinct_names_and_sections_distinct_classes() -> None:
     [
         (Measurements(waist=80.0), {}, r"measures height, .* are missing"),
         (replace(WOMAN, waist_back_width=90.0), {}, r"waist_back_width is 90\.0 cm, and waist is 80\.3 cm"),
+        (replace(WOMAN, hips_line=-9.0), {}, r"\+ crotch_hip_diff is .* \+ -9\.0 \+ .* cm, and height is 1"),
         (WOMAN, {"upper": None, "wb": "StraightWB"}, "a garment without upper and bottom"),
         (WOMAN, {"upper": "Cape", "bottom": "Pants"}, "nothing can be sewn to the hem of a Cape: set meta.wb and meta"),
     ],

@@ -54,6 +54,20 @@ def test_sides_colours_and_the_wrong_side_of_cloth() -> None:
     assert back[8, 16].sum() < 0.8 * front[8, 48].sum()  # the same cloth
 
 
+def test_the_side_view_is_from_the_wearers_left() -> None:
+    """A ball before the body lies on the left of the picture, a larger one at the wearer's right is hidden."""
+    body, nose, hand = (trimesh.creation.icosphere(subdivisions=3, radius=radius) for radius in (10.0, 2.0, 5.0))
+    nose.apply_translation([0.0, 0.0, 20.0])
+    hand.apply_translation([-20.0, 0.0, 0.0])
+    scene = figure_scene(body_from(trimesh.util.concatenate([body, nose, hand])))
+    seen = ~is_paper(render_view(scene, size=64, view="side", device="cpu"))
+    height = seen.sum(axis=0)[seen.any(axis=0)]
+    assert height[:3].max() < 0.3 * height.max() < height[-3:].max()
+    assert (np.diff(np.flatnonzero(seen.any(axis=0))) > 1).sum() == 1  # two balls
+    with pytest.raises(ConfigError, match="a fixed camera at 'top': choose front, side, back"):
+        render_view(scene, size=8, view="top", device="cpu")
+
+
 def test_a_corner_that_sees_little_sky_is_darker() -> None:
     """A plate with a lid 3 cm in front of one half: near the lid's edge half of the sky is occluded."""
     open_plate = trimesh.creation.box(extents=(40.0, 40.0, 1.0))

@@ -11,13 +11,13 @@ from gcd_dataset.generator.device import resolve_device
 from gcd_dataset.generator.drape.kernels.crossing import count_self_crossings
 from gcd_dataset.generator.drape.kernels.world import ClothArrays
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.records import Body
+from gcd_dataset.records import Body, BodyPart
 
 
 def skin_crossings(body: Body) -> int:
-    """Number of edges of trunk, arms and legs that pass through the skin.
+    """Number of edges of trunk, arms and legs that pass through the skin, or through a hand, a foot or the head.
 
-    Heads, hands and feet are excluded: their skin folds into itself in every body of the model.
+    Edges of heads, hands and feet are excluded: their skin folds into itself in every body of the model.
     """
     faces, edges = _skin()
     corners = body.vertices[faces].astype(np.float32)
@@ -47,5 +47,5 @@ def _zeros(count: int, device: str) -> wp.array:
 def _skin() -> tuple[Int[np.ndarray, "f 3"], Int[np.ndarray, "e 2"]]:
     model = body_model()
     folded = np.isin(model.parts, [part.value for part in COARSE_PARTS])
-    faces = model.faces[~folded[model.faces].any(axis=1)]
-    return faces, mesh_edges(faces).ends
+    edges = mesh_edges(model.faces[~folded[model.faces].any(axis=1)]).ends
+    return model.faces[~(model.parts == BodyPart.INTERNAL.value)[model.faces].any(axis=1)], edges

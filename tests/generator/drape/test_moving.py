@@ -1,0 +1,132 @@
+"""Bodies that move under their garments: carried by friction, without crossings, each world on its own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from jaxtyping import Float
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.body import named_pose, pose_body
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, drape_motion
+from gcd_dataset.generator.drape import moving as moving_module
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.moving import Motion
+from gcd_dataset.generator.drape.slots import Slots, rooms_of
+from gcd_dataset.generator.dressing.worn import WornCloth
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.records import Body, Outcome, Pose
+from tests.generator.drape.garments import Worn, neutral
+from tests.generator.drape.test_drape import SHEET, on_a_ball, on_a_table, table
+
+TEE = design_from_dict({"meta": {"upper": "Shirt"}, "sleeve": {"sleeveless": False, "length": 0.5}})
+
+
+def shifted(body: Body, by: Float[np.ndarray, "3"]) -> Body:
+    return replace(body, vertices=body.vertices + by)
+
+
+def slots_of(*jobs: DrapeJob) -> Slots:
+    """A batch with a world for each job, after five frames."""
+    model = build_model(jobs, config := DrapeConfig(coarse_start=False), "cpu")
+    slots = Slots(sum(rooms_of(model)), len(jobs), config, "cpu")
+    assert slots.place(model, [None] * len(jobs)) == list(range(len(jobs)))
+    step(slots, 5)
+    return slots
+
+
+def step(slots: Slots, frames: int) -> None:
+    for _ in range(frames):
+        slots.solver.frame()
+
+
+def cloth(slots: Slots, w: int) -> Float[np.ndarray, "v 3"]:
+    return np.array(slots.solver.state.x.numpy()[slots.solver.model.vertices[w]])
+
+
+def test_a_table_carries_its_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sideways by friction against the moving skin; up and down as well, and without a crossing."""
+    monkeypatch.setattr(moving_module, "SPEED", 12.0)
+    slots = slots_of(on_a_table(SHEET))
+    step(slots, 30)
+    before = cloth(slots, 0)
+    by = np.array([12.0, 3.0, 0.0])
+    slots.move(0, Motion.of([table(), shifted(table(), by)]))
+    step(slots, slots.solver.moving[0].frames + 5)
+    np.testing.assert_allclose((cloth(slots, 0) - before).mean(axis=0), by, atol=0.3)
+    assert slots.solver.body_crossings()[0] == slots.solver.body_through()[0] == 0
+
+
+def test_equal_bodies_move_on_their_own() -> None:
+    """Each world of a batch is as it is alone, with its body moved, moved elsewhere or at rest."""
+    job = on_a_ball(7)
+    motions = [Motion.of([job.body, shifted(job.body, np.array(by))]) for by in ([6.0, 0.0, 0.0], [0.0, 5.0, -3.0])]
+
+    def drape(*ways: Motion | None) -> list[np.ndarray]:
+        slots = slots_of(*(job for _ in ways))
+        for w, motion in enumerate(ways):
+            if motion:
+                slots.move(w, motion)
+        step(slots, 12)
+        return [cloth(slots, w) for w in range(len(ways))]
+
+    together = drape(motions[0], None, motions[1])
+    for way, there in zip((motions[0], None, motions[1]), together, strict=True):
+        np.testing.assert_array_equal(drape(way)[0], there)
+    assert len({x.tobytes() for x in together}) == 3
+
+
+def test_points_go_back_with_the_trunk() -> None:
+    body, _ = neutral()
+    motion = Motion.to_pose(body, Pose({"pelvis": (1.2, 0.0, 0.0), "left_thigh": (0.5, 0.0, 0.0)}))
+    trunk = motion.trunk[: len(body.vertices)] & (body.vertices[:, 1] > 100.0)
+    back = motion.undone(motion.body.vertices[trunk])
+    np.testing.assert_allclose(back, body.vertices[trunk], atol=2.0)
+    assert len(motion.keys) == 10  # 69° in steps of 8° at most
+
+
+@pytest.fixture(scope="module")
+def tee() -> DrapeJob:
+    body, size = neutral()
+    return DrapeJob(build_box_mesh(draw_garment(size, TEE), spacing=4.0), body, size)
+
+
+def test_sleeves_go_up_with_the_arms(tee: DrapeJob) -> None:
+    """Of a shirt on a body that moves to the T-pose: at rest, without crossings, each sleeve still round its arm."""
+    pose = named_pose("t-pose")
+    [drape] = drape_batch([replace(tee, pose=pose)], DrapeConfig(most_drapes=1), device="cpu")
+    assert drape.outcome is Outcome.SETTLED
+    assert drape.self_crossings + drape.body_crossings + drape.body_through == 0
+    worn = Worn(tee.box_mesh, drape, pose_body(tee.body, pose))
+    for side, sign in (("left arm", 1.0), ("right arm", -1.0)):
+        [cuff] = [rim for rim in worn.openings(side) if sign * drape.vertices[rim, 0].mean() > 30.0]
+        assert np.ptp(drape.vertices[cuff, 0]) < 8.0  # a vertical ring, as the arm is level
+        assert drape.vertices[cuff, 1].min() > 120.0
+
+
+def test_impossible_poses_cost_no_other_garment(tee: DrapeJob) -> None:
+    broken = replace(tee, pose=Pose({"left_shin": (2.0, 0.0, 0.0)}, "knee to the front"))
+    scan = replace(on_a_table(SHEET), pose=named_pose("t-pose"))
+    drapes = drape_batch([broken, scan, on_a_ball(5)], DrapeConfig(max_frames=5), device="cpu")
+    assert [drape.outcome is Outcome.REFUSED for drape in drapes] == [True, True, False]
+    assert "left_shin has a bend of 114.6°" in drapes[0].reason
+    assert "not a mesh of the body model" in drapes[1].reason
+    worn = WornCloth.of(tee.box_mesh, tee.box_mesh.vertices)
+    with pytest.raises(ConfigError, match="cannot move"):
+        replace(tee, pose=named_pose("t-pose"), under=(worn,))
+
+
+def test_a_motion_yields_a_drape_for_each_pose() -> None:
+    """A skirt on a walking body keeps its waist and stays clear of the legs; a motion without poses yields nothing."""
+    body, size = neutral()
+    design = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.3}})
+    job = DrapeJob(build_box_mesh(draw_garment(size, design), spacing=5.0), body, size)
+    steps = np.radians(4.0 * np.arange(4))
+    walk = [Pose({"left_thigh": (a, 0.0, 0.0), "right_thigh": (-a, 0.0, 0.0)}) for a in steps]
+    drapes = list(drape_motion(job, walk, device="cpu"))
+    assert [drape.outcome for drape in drapes] == [Outcome.SETTLED] * 4
+    assert max(drape.body_crossings for drape in drapes) < 10  # of 5 cm edges, which only a garment at rest has cleared
+    hems = [np.sort(drape.vertices[:, 2])[-10:].mean() for drape in drapes]
+    assert hems[3] > hems[0] + 0.5  # the left thigh lifts the front
+    assert list(drape_motion(job, [], device="cpu")) == []
