@@ -1,9 +1,10 @@
 """The edges of triangle meshes."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.records import Pattern
 
@@ -52,14 +53,16 @@ def fold_edges(
     folds += [(number, pattern.panels[number].edge_ends(ref.edge), 180.0) for number, ref in layers]
     found = [np.zeros((0, 3))]
     for number, ends, angle in folds:
-        start, end = np.array(ends)
-        length, own = (
-            np.linalg.norm(end - start),
-            corners[panel_id == number][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2),
-        )
-        along, out = (end - start) / length, uv[own] - start
-        at, off = out @ along, np.abs(out[..., 0] * along[1] - out[..., 1] * along[0])
-        on = ((off < ON_FOLD) & (at > -ON_FOLD) & (at < length + ON_FOLD)).all(axis=1)
-        edges = np.unique(np.sort(own[on], axis=1), axis=0)
+        own = corners[panel_id == number][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        edges = np.unique(np.sort(own[on_line(uv[own], ends).all(axis=1)], axis=1), axis=0)
         found.append(np.column_stack([edges, np.full(len(edges), angle)]))
     return np.concatenate(found)
+
+
+def on_line(points: Float[np.ndarray, "*n 2"], ends: Sequence[Any]) -> Bool[np.ndarray, " *n"]:
+    """Whether points lie on the straight line between two points [cm]."""
+    start, end = np.array(ends)
+    length = np.linalg.norm(end - start)
+    along, out = (end - start) / length, points - start
+    at, off = out @ along, np.abs(out[..., 0] * along[1] - out[..., 1] * along[0])
+    return (off < ON_FOLD) & (at > -ON_FOLD) & (at < length + ON_FOLD)

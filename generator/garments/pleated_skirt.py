@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.curves import LINE, Point
+from gcd_dataset.curves import LINE, Point, reflection
 from gcd_dataset.generator.garments.description import Description, Detail, Setting, Tag, Words, Zone
 from gcd_dataset.generator.garments.garment import BottomGarment, Cutting
 from gcd_dataset.generator.garments.gathered_skirt import BACK, FRONT
@@ -183,7 +183,7 @@ class PleatedPanel:
     @property
     def piece(self) -> Piece:
         """The unfolded panel; the cloth in its middle stays where it is when folded."""
-        mirrors = [np.eye(3), *(_mirror(*self._at(fold.place)) for fold in self.folds)]
+        mirrors = [np.eye(3), *(reflection(*self._at(fold.place)) for fold in self.folds)]
         turns = list(accumulate(mirrors, np.matmul))
         stays = np.linalg.inv(turns[len(self.folds) // 2])
 
@@ -206,13 +206,6 @@ class PleatedPanel:
             for layer, fold in enumerate(self.folds)
         )
         return Piece(self.name, outline.close(name="right"), lines=lines)
-
-
-def _mirror(start: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"]) -> Float[np.ndarray, "3 3"]:
-    """The reflection in the line through two points, as an affine matrix."""
-    x, y = (end - start) / np.linalg.norm(end - start)
-    turn = np.array([[x * x - y * y, 2 * x * y], [2 * x * y, y * y - x * x]])
-    return np.block([[turn, (start - turn @ start)[:, None]], [np.zeros((1, 2)), np.ones((1, 1))]])
 
 
 def _hem(size: Measurements, design: PleatedSkirtDesign, rise: float, length: float) -> float:

@@ -14,8 +14,10 @@ import numpy as np
 import shapely
 import shapely.ops
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from gcd_dataset.curves import sample_curve, signed_area
+from gcd_dataset.curves import reflection, sample_curve, signed_area
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.regions import fill_regions
 from gcd_dataset.generator.mesh.rows import distinct, stable_order
@@ -38,7 +40,7 @@ from gcd_dataset.generator.mesh.triangulate import (
     flat_areas,
     lattice_size,
 )
-from gcd_dataset.meshedges import fold_edges
+from gcd_dataset.meshedges import fold_edges, mesh_edges, on_line
 from gcd_dataset.records import BoxMesh, Closure, EdgeRef, Panel, Pattern, Seam
 
 SAMPLES = 17  # points of an edge, for the sign of a loop's area
@@ -204,42 +206,58 @@ def _folded(panels: _MeshedPanels, pattern: Pattern) -> Float[np.ndarray, "c 3"]
         creases = [line for line in panel.lines if abs(line.angle) > 90.0]
         if not creases:
             continue
-        own = panels.points_of(number)
         faces = panels.corners[panels.panel_of_point[panels.corners[:, 0]] == number]
         ends = panel.vertices[[[line.start, line.end] for line in creases]]
-        along = (ends[:, 1] - ends[:, 0]) / np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)[:, None]
-        normals = along[:, ::-1] * [-1.0, 1.0]
-        # Folds run from border to border without meeting: the sides of all folds on which cloth lies tell its layer.
-        beside = np.einsum("fkd,kd->fk", panels.uv[faces].mean(axis=1)[:, None] - ends[:, 0], normals) > 0.0
-        layers, layer = np.unique(beside, axis=0, return_inverse=True)
-        middle = panels.uv[own].mean(axis=0)
-        at = np.array([panels.uv[faces[layer == row]].mean(axis=(0, 1)) for row in range(len(layers))])
+        layer, beside = _layers(faces, panels.uv, ends)
+        turns, waiting = {0: np.eye(3)}, [0]
+        while waiting:
+            row = waiting.pop()
+            for other, k in beside[row]:
+                if other not in turns:
+                    turns[other] = turns[row] @ reflection(*ends[k])
+                    waiting.append(other)
+        # Of the larger part of the cloth, which lies right side out, the layer nearest the middle stays.
         areas = np.bincount(layer, np.abs(flat_areas(panels.uv[faces])))
-        odd = layers.sum(axis=1) % 2 == 1
-        seen = odd if areas[odd].sum() > areas[~odd].sum() else ~odd  # the larger part of the cloth lies right side out
-        waiting = [int(np.argmin(np.where(seen, np.linalg.norm(at - middle, axis=1), np.inf)))]
-        turns = {waiting[0]: (np.eye(2), np.zeros(2))}
+        out = np.array([np.linalg.det(turns[row]) > 0.0 for row in range(len(areas))])
+        seen = out if areas[out].sum() >= areas[~out].sum() else ~out
+        middle = panels.uv[panels.points_of(number)].mean(axis=0)
+        at = np.array([panels.uv[faces[layer == row]].mean(axis=(0, 1)) for row in range(len(areas))])
+        stays = np.linalg.inv(turns[int(np.argmin(np.where(seen, np.linalg.norm(at - middle, axis=1), np.inf)))])
         facing = signed_area(panel.vertices[[edge.start for edge in panel.edges]])
         outwards = np.copysign(1.0, facing) * panel.placement.matrix[:, 2]
         heights = 0.5 * LAYERS * np.sign([line.angle for line in creases])
-        while waiting:
-            row = waiting.pop()
-            turn, shift = turns[row]
-            points = np.unique(faces[layer == row])
-            differ = layers != layers[row]
-            next_to = np.where(differ.sum(axis=1) == 1, differ.argmax(axis=1), -1).tolist()
-            bounds = [k for k in next_to if k >= 0]
-            apart = np.abs(np.einsum("nkd,kd->nk", panels.uv[points][:, None] - ends[bounds, 0], normals[bounds]))
-            weights = 1.0 / np.maximum(apart, TOUCH)
+        for row, turn in turns.items():
+            points, bounds = np.unique(faces[layer == row]), [k for _, k in beside[row]]
+            along = (ends[bounds, 1] - ends[bounds, 0]) / np.linalg.norm(ends[bounds, 1] - ends[bounds, 0], axis=1)[:, None]
+            off = panels.uv[points][:, None] - ends[bounds, 0]
+            weights = 1.0 / np.maximum(np.abs(off[..., 0] * along[:, 1] - off[..., 1] * along[:, 0]), TOUCH)
             height = (weights * heights[bounds]).sum(axis=1) / weights.sum(axis=1)
-            flat = panels.uv[points] @ turn.T + shift
+            moved = stays @ turn
+            flat = panels.uv[points] @ moved[:2, :2].T + moved[:2, 2]
             positions[points] = panel.placement.apply(flat) + height[:, None] * outwards
-            for other, k in enumerate(next_to):
-                if k >= 0 and other not in turns:
-                    mirror = np.eye(2) - 2.0 * np.outer(normals[k], normals[k])
-                    turns[other] = turn @ mirror, shift + turn @ (ends[k, 0] - mirror @ ends[k, 0])
-                    waiting.append(other)
     return positions
+
+
+def _layers(
+    faces: Int[np.ndarray, "f 3"], uv: Float[np.ndarray, "c 2"], folds: Float[np.ndarray, "k 2 2"]
+) -> tuple[Int[np.ndarray, " f"], list[list[tuple[int, int]]]]:
+    """The part between folds of each face; for each part the parts beside it, with the folds between them."""
+    edges = mesh_edges(faces)
+    fold = np.full(len(edges.ends), -1)
+    for k, ends in enumerate(folds):
+        fold[on_line(uv[edges.ends], ends).all(axis=1)] = k
+    sides = np.argsort(edges.of_faces.ravel(), kind="stable")
+    number = edges.of_faces.ravel()[sides]
+    inner = np.flatnonzero(number[1:] == number[:-1])
+    pairs, between = np.stack([sides[inner], sides[inner + 1]]) // 3, fold[number[inner]]
+    graph = coo_array((np.ones((between < 0).sum()), pairs[:, between < 0]), shape=(len(faces), len(faces)))
+    count, layer = connected_components(graph, directed=False)
+    beside: list[list[tuple[int, int]]] = [[] for _ in range(count)]
+    rows = np.column_stack([layer[pairs].T, between])[between >= 0]
+    for one, other, k in np.unique(rows, axis=0).tolist():
+        beside[one].append((other, k))
+        beside[other].append((one, k))
+    return layer, beside
 
 
 def _layered(
