@@ -40,7 +40,7 @@ from gcd_dataset.generator.mesh.triangulate import (
     flat_areas,
     lattice_size,
 )
-from gcd_dataset.meshedges import fold_edges, mesh_edges, on_line
+from gcd_dataset.meshedges import ON_FOLD, fold_edges, mesh_edges, on_line
 from gcd_dataset.records import BoxMesh, Closure, EdgeRef, Panel, Pattern, Seam
 
 SAMPLES = 17  # points of an edge, for the sign of a loop's area
@@ -232,6 +232,7 @@ def _folded(panels: _MeshedPanels, pattern: Pattern) -> Float[np.ndarray, "c 3"]
             off = panels.uv[points][:, None] - ends[bounds, 0]
             weights = 1.0 / np.maximum(np.abs(off[..., 0] * along[:, 1] - off[..., 1] * along[:, 0]), TOUCH)
             height = (weights * heights[bounds]).sum(axis=1) / weights.sum(axis=1)
+            height[(weights < 1.0 / ON_FOLD).all(axis=1) & seen[row]] *= 1.5
             moved = stays @ turn
             flat = panels.uv[points] @ moved[:2, :2].T + moved[:2, 2]
             positions[points] = panel.placement.apply(flat) + height[:, None] * outwards
