@@ -14,6 +14,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic, curve_points, curve_tangents, from_frame
 from gcd_dataset.errors import shown
 from gcd_dataset.generator.lay_plan import (
+    FOLDED,
     INK,
     RGB,
     LayPlan,
@@ -28,7 +29,6 @@ from gcd_dataset.records import InnerLine, Pattern
 __all__ = ["nest_svg", "pattern_svg"]
 
 MARGIN = 1.0  # cm of empty border round the drawing
-FOLDED = {True: "1.2 0.4 0.2 0.4", False: "0.8 0.5"}  # cm, dashes and gaps of mountain and valley folds
 LINE_WIDTH = 0.12  # cm
 LARGEST_NAME, SMALLEST_NAME = 2.0, 0.3  # cm, height of letters
 LETTER_WIDTH = 0.6  # mean, as a share of the height, in the usual sans serif
@@ -122,8 +122,9 @@ def _panel(piece: SheetPanel, height: float, ink: RGB | None = None, *, is_named
         attributes = {"data-edge": str(index)} | ({} if seam is None else {"data-seam": str(seam)})
         if isinstance(edge, InnerLine):
             attributes |= {"data-role": shown(edge.role), "stroke-width": str(0.5 * LINE_WIDTH)}
-            if edge.angle:  # as in origami: dashes and dots for a mountain fold, dashes for a valley fold
-                attributes |= {"data-angle": f"{edge.angle:g}", "stroke-dasharray": FOLDED[edge.angle > 0.0]}
+            if edge.angle:
+                dashes = " ".join(map(str, FOLDED[edge.angle > 0.0]))
+                attributes |= {"data-angle": f"{edge.angle:g}", "stroke-dasharray": dashes}
         line = f"M{_point(start)} {_command(start, end, edge.curve)}"
         ElementTree.SubElement(group, "path", {"d": line, "stroke": _hex(ink or seam_colour(seam)), **attributes})
     group.append(_grain_line(piece, ink or INK))
