@@ -139,7 +139,9 @@ class Skirt:
             angle[own] *= spread / (abs(angle[own][last]) + spacing / radius[own][last])
         turn = np.clip(0.5 * np.pi * angle / spread, -0.5 * np.pi, 0.5 * np.pi)
         placed[rows, 0] = trunk.origin[0] + (trunk.wide + out) * np.sin(turn)
-        placed[rows, 1] = self._level - np.sqrt(1.0 - min(spread / (0.5 * np.pi), SINES[1]) ** 2) * (radius - radius[top].min())
+        placed[rows, 1] = self._level - np.sqrt(1.0 - min(spread / (0.5 * np.pi), SINES[1]) ** 2) * (
+            radius - radius[top].min()
+        )
         placed[rows, 2] = trunk.origin[2] + forward * (trunk.deep + out) * np.cos(turn)
 
     @cached_property

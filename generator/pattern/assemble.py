@@ -122,8 +122,11 @@ def _walks(component: Component) -> list[tuple[list[_WalkedStroke], list[_Walked
 
 
 def _require_sewn_once(component: Component, walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]]) -> None:
+    """Raise ``PatternError`` for an edge in two joins.
+
+    Layers of a stack are sewn to each other within their panel, and the uppermost one to another panel.
+    """
     seen: set[tuple[str, int]] = set()
-    """Layers of a stack are sewn to each other within their panel, and the uppermost one to another panel."""
     across = (sides for sides in walks if len({walked.panel for side in sides for walked in side}) > 1)
     for walked in (walked for sides in across for side in sides for walked in side):
         if (walked.panel, walked.stroke) in seen:

@@ -79,12 +79,12 @@ def test_decoding_gives_the_record_back_to_the_stored_precision(sample: Sample) 
         assert [f.name for f in fields(stage) if not same(getattr(stage, f.name), getattr(again, f.name))] == []
     assert exact.box_mesh is not None and exact.drape is not None
     assert sample.box_mesh is not None and sample.drape is not None
-    for stored, given in (
+    for stored, sent in (
         (exact.box_mesh.vertices, sample.box_mesh.vertices),
         (exact.box_mesh.uv, sample.box_mesh.uv),
         (exact.drape.vertices, sample.drape.vertices),
     ):
-        assert np.abs(stored - given).max() < 1e-3  # cm
+        assert np.abs(stored - sent).max() < 1e-3  # cm
     for name in ("faces", "corners", "uv_vertex", "panel_id", "seams"):
         assert np.array_equal(getattr(exact.box_mesh, name), getattr(sample.box_mesh, name))
 
