@@ -9,6 +9,7 @@ Control points therefore move with the end points. An arc keeps its radius in ce
 15.708
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -33,6 +34,7 @@ __all__ = [
     "curve_tangents",
     "from_frame",
     "mirrored",
+    "reflection",
     "reversed_curve",
     "sample_curve",
     "to_frame",
@@ -191,6 +193,14 @@ def mirrored(curve: Curve) -> Curve:
             return Arc(radius, large, not right)
         case _:
             return curve
+
+
+def reflection(start: Sequence[float], end: Sequence[float]) -> Float[np.ndarray, "3 3"]:
+    """The reflection in the line through two points, as an affine matrix."""
+    along = np.subtract(end, start)
+    x, y = along / np.linalg.norm(along)
+    turn = np.array([[x * x - y * y, 2 * x * y], [2 * x * y, y * y - x * x]])
+    return np.block([[turn, (np.asarray(start) - turn @ start)[:, None]], [np.zeros((1, 2)), np.ones((1, 1))]])
 
 
 def from_frame(start: Point, end: Point, relative: Point) -> Point:

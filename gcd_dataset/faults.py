@@ -76,6 +76,7 @@ class Rule(Enum):
     LINE = "line that cannot be drawn"
     LINE_CROSSING = "line meets the outline or a line"
     LINE_OUTSIDE = "line outside its panel"
+    FOLD = "line that cannot be folded"
     NO_SUCH_EDGE = "stitch to a missing edge"
     STITCHED_TWICE = "edge stitched twice"
     LABELS_DIFFER = "stitched edges have different labels"
@@ -367,8 +368,21 @@ def _line_faults(panel: Panel) -> Iterator[Fault]:
                 yield Fault(Rule.LINE_CROSSING, panel.name, None, figure)
                 break
         else:
+            if line.angle and (fault := _unfolded(line, corners)):
+                yield Fault(Rule.FOLD, panel.name, None, f"line {number} has a rest angle of {line.angle:g}°: {fault}")
             if not cloth.contains(points.interpolate(0.5, normalized=True)):
                 yield Fault(Rule.LINE_OUTSIDE, panel.name, None, f"line {number}: draw it inside the outline")
+
+
+def _unfolded(line: InnerLine, corners: Collection[int]) -> str:
+    """Why cloth cannot be folded along a line, with the remedy; empty if it can."""
+    if line.role != LineRole.FOLD:
+        return f"its role is {shown(line.role)}, give it the role fold"
+    if not abs(line.angle) <= 180.0:
+        return "give -180 to 180"
+    if line.curve != LINE or not {line.start, line.end} <= set(corners):
+        return "draw it straight, from the outline to the outline"
+    return ""
 
 
 # ---------------------------------------------------------------------------------------------------------------- seams
@@ -378,7 +392,7 @@ def _seam_faults(pattern: Pattern, lengths: dict[EdgeRef, float]) -> Iterator[Fa
     labels = {EdgeRef(p.name, i): edge.label for p in pattern.panels for i, edge in enumerate(p.edges)}
     labels |= {EdgeRef(p.name, len(p.edges) + i): "" for p in pattern.panels for i in range(len(p.lines))}
     edges_of = {panel.name: len(panel.edges) + len(panel.lines) for panel in pattern.panels}
-    uses = Counter(side for seam in pattern.seams for side in (seam.left, seam.right))
+    uses = Counter(side for seam in pattern.seams if not pattern.layers(seam) for side in (seam.left, seam.right))
     panels = {panel.name: panel for panel in pattern.panels}
     corners = {panel.name: panel.placement.apply(panel.vertices).tolist() for panel in pattern.panels}
     reported: set[EdgeRef] = set()

@@ -53,7 +53,7 @@ QUATERNION = [
     PanelColumn.QUATERNION_Z,
 ]
 EDGE_COLUMNS = [column for column in EdgeColumn if column is not EdgeColumn.RADIUS]
-LINE_COLUMNS = [column for column in LineColumn if column is not LineColumn.RADIUS]
+LINE_COLUMNS = [column for column in LineColumn if column not in (LineColumn.RADIUS, LineColumn.ANGLE)]
 
 
 @dataclass(frozen=True)
@@ -115,6 +115,7 @@ def hash_pattern(index: int, *garments: PatternTensor) -> PatternHash:
             _with_leading_sign(tensor.panels[:, QUATERNION]).ravel(),
             tensor.edges[:, EDGE_COLUMNS].ravel(),
             tensor.lines[:, LINE_COLUMNS].ravel(),
+            tensor.lines[tensor.lines[:, LineColumn.ANGLE] != 0.0, LineColumn.ANGLE],
         ]
     steps = np.concatenate(rows).astype(float) / STEP
     if not (np.abs(steps) < LARGEST).all():  # false for NaN, too

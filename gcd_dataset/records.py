@@ -235,6 +235,10 @@ class InnerLine:
     curve: Curve = LINE
     role: LineRole | str = LineRole.STITCH
     """A label in a file that matches no role stays a string."""
+    angle: float = 0.0
+    """Rest angle of a fold, the turn of the cloth from one side to the other [degrees]: 0 flat, 180 pressed together.
+
+    Positive for a mountain fold: the line is a ridge on the right side; negative for a valley fold."""
     name: str = ""
     """Name of the line in its garment's program; not part of a specification file."""
 
@@ -380,6 +384,20 @@ class Pattern(Record):
         pairs = ((length(seam.left), length(seam.right)) for seam in self.seams)
         return tuple(round(left / right, 4) if left and right else 1.0 for left, right in pairs)
 
+    def layers(self, seam: Seam) -> bool:
+        """Whether a seam joins layers of a stack: two edges of a panel that meet at the end of a fold, as in a pleat.
+
+        An edge may be in such seams and in one other: a waistband is sewn to the uppermost layer of a stack.
+        """
+        if seam.left.panel != seam.right.panel:
+            return False
+        panel = next((panel for panel in self.panels if panel.name == seam.left.panel), None)
+        if panel is None or not max(seam.left.edge, seam.right.edge) < len(panel.edges):
+            return False
+        folds = {vertex for line in panel.lines if line.angle for vertex in (line.start, line.end)}
+        ends = [{panel.edges[ref.edge].start, panel.edges[ref.edge].end} for ref in (seam.left, seam.right)]
+        return bool(ends[0] & ends[1] & folds)
+
     def without_lines(self) -> Self:
         """The pattern without lines and their seams, for forms that hold edges alone."""
         edges = {panel.name: len(panel.edges) for panel in self.panels if panel.lines}
@@ -452,6 +470,9 @@ class BoxMesh(Record):
     """Pairs (vertex, row of the pattern's seams); one row for each seam that runs through a vertex."""
     labels: Mapping[EdgeRole | str, Int[np.ndarray, " n"]] = field(default_factory=dict)
     """Edge label to the ids of the vertices on such edges."""
+    folds: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    """Mesh edges along folds with a rest angle, and along layers sewn to each other: two rows of ``uv``, and the rest
+    angle [degrees]; shards leave them to ``meshedges.fold_edges``."""
 
     @property
     def n_seam_vertices(self) -> int:

@@ -9,7 +9,8 @@ the first side, ``closure``, and ``closed``, the joined part from and to, as sha
 
 Lines inside a panel are its list ``lines``: ``endpoints`` and ``curvature`` as of an edge, and ``role``. Seams of lines
 are in the list ``pattern.line_stitches``, which others ignore, too: ``sides``, each a panel and an ``edge`` or a
-``line``, ``right_wrong``, and ``seam``, its position among all seams. In ``closures`` they are named by ``line``.
+``line``, ``right_wrong``, and ``seam``, its position among all seams. In ``closures`` they are named by ``line``. A
+fold has its rest ``angle`` [degrees]; the seams between layers of a pleat are in ``line_stitches``, too.
 
 >>> from gcd_dataset.records import Panel, Pattern, Placement, Edge
 >>> square = Panel("square", np.array([[0, 0], [9, 0], [9, 9], [0, 9]]), tuple(Edge(i, (i + 1) % 4) for i in range(4)),
@@ -132,15 +133,20 @@ def spec_from_pattern(pattern: Pattern) -> dict[str, Any]:
         for seam, sides in seams
         if not seam.is_plain
     ]
+    hidden = {number for number, (seam, sides) in enumerate(seams) if _names_line(sides) or pattern.layers(seam)}
     of_lines = [
         {"seam": number, "sides": sides, "right_wrong": seam.right_wrong}
         for number, (seam, sides) in enumerate(seams)
-        if _names_line(sides)
+        if number in hidden
     ]
     return {
         "pattern": {
             "panels": {panel.name: _panel_entry(panel) for panel in pattern.panels},
-            "stitches": [sides + ["right_wrong"] * seam.right_wrong for seam, sides in seams if not _names_line(sides)],
+            "stitches": [
+                sides + ["right_wrong"] * seam.right_wrong
+                for number, (seam, sides) in enumerate(seams)
+                if number not in hidden
+            ],
             **({"line_stitches": of_lines} if of_lines else {}),
             **({"closures": closures} if closures else {}),
             "panel_order": [panel.name for panel in pattern.panels],
@@ -239,7 +245,8 @@ def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: JsonPath) -> Pa
 
 def _line(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _Form, at: JsonPath) -> InnerLine:
     drawn, role = _edge(entry, vertices, form, at), at.text(given(entry, "role", LineRole.STITCH), "role")
-    return InnerLine(drawn.start, drawn.end, drawn.curve, role_of(LineRole, role))
+    angle = at.number(given(entry, "angle", 0.0), "angle")
+    return InnerLine(drawn.start, drawn.end, drawn.curve, role_of(LineRole, role), angle)
 
 
 def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _Form, at: JsonPath) -> Edge:
@@ -406,7 +413,7 @@ def _turned_over(panel: Panel) -> Panel:
         panel,
         vertices=panel.vertices * [-1.0, 1.0],
         edges=tuple(replace(edge, curve=mirrored(edge.curve)) for edge in panel.edges),
-        lines=tuple(replace(line, curve=mirrored(line.curve)) for line in panel.lines),
+        lines=tuple(replace(line, curve=mirrored(line.curve), angle=-line.angle or 0.0) for line in panel.lines),
         placement=Placement(placement.translation, euler_angles(turned)),
     )
 
@@ -431,7 +438,10 @@ def _panel_entry(panel: Panel) -> dict[str, Any]:
         "edges": [_edge_entry(edge) for edge in panel.edges],
     }
     if panel.lines:
-        entry["lines"] = [{**_curve_entry(line), "role": str(line.role)} for line in panel.lines]
+        entry["lines"] = [
+            {**_curve_entry(line), "role": str(line.role)} | ({"angle": line.angle} if line.angle else {})
+            for line in panel.lines
+        ]
     return {**entry, "label": panel.label} if panel.label else entry
 
 

@@ -181,6 +181,8 @@ class LineColumn(IntEnum):
     """Index of the end among the panel's vertices."""
     END_X = 14
     END_Y = 15
+    ANGLE = 16
+    """Rest angle of a fold [degrees]."""
 
 
 COLUMNS: Mapping[str, type[IntEnum]] = {
@@ -227,7 +229,7 @@ class PatternTensor(Record):
     panel_labels: tuple[str, ...] = PANEL_LABELS
     edge_labels: tuple[str, ...] = EDGE_LABELS
     name: str = ""
-    lines: Float[np.ndarray, "n 16"] = field(default_factory=NO_LINES.copy)
+    lines: Float[np.ndarray, "n 17"] = field(default_factory=NO_LINES.copy)
     """Columns of ``LineColumn``."""
 
     @property
@@ -383,7 +385,7 @@ def _edge_rows(row: int, panel: Panel, centroid: np.ndarray, labels: tuple[str, 
     return rows
 
 
-def _line_rows(row: int, panel: Panel, centroid: np.ndarray) -> Float[np.ndarray, "n 16"]:
+def _line_rows(row: int, panel: Panel, centroid: np.ndarray) -> Float[np.ndarray, "n 17"]:
     rows, used = np.zeros((len(panel.lines), len(LineColumn))), _used_vertices(panel)
     for number, (line, entry) in enumerate(zip(panel.lines, rows, strict=True)):
         if line.role not in LINE_ROLES:
@@ -391,6 +393,7 @@ def _line_rows(row: int, panel: Panel, centroid: np.ndarray) -> Float[np.ndarray
                 f"panel {panel.name}, line {number}: role {shown(line.role)}: give one of {', '.join(LINE_ROLES)}"
             )
         entry[LineColumn.PANEL], entry[LineColumn.ROLE] = row, LINE_ROLES.index(LineRole(line.role))
+        entry[LineColumn.ANGLE] = line.angle
         entry[LineColumn.VERTEX], entry[LineColumn.END] = used[line.start], used[line.end]
         ends = panel.edge_ends(len(panel.edges) + number)
         entry[START], entry[END] = np.array(ends) - centroid
@@ -528,6 +531,7 @@ def _panel(tensor: PatternTensor, row: int, loop: Float[np.ndarray, "n 13"]) -> 
             end,
             _curve(entry, vertices[start], vertices[end], numbers[CENTROID]),
             LINE_ROLES[int(entry[LineColumn.ROLE])],
+            float(entry[LineColumn.ANGLE]),
         )
         for entry, (start, end) in zip(lines, ends.tolist(), strict=True)
     )

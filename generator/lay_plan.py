@@ -49,6 +49,8 @@ def _rgb(red: float, green: float, blue: float) -> RGB:
     return round(255 * red), round(255 * green), round(255 * blue)
 
 
+FOLDED = {True: (1.2, 0.4, 0.2, 0.4), False: (0.8, 0.5)}
+"""Dashes and gaps of folds, as in origami: a mountain fold (True) has dashes and dots, a valley fold dashes [cm]."""
 CURVE_POINTS = 33  # points along a drawn curve
 NAME_HEIGHTS = (0.5, 0.42, 0.58, 0.34, 0.66, 0.26, 0.74)  # heights to try, as shares of a panel's height
 GRAIN_OFFSETS = (0.25, 0.75, 0.18, 0.82, 0.32, 0.68, 0.1, 0.9, 0.5)  # the same, shares of a panel's width

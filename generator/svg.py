@@ -14,6 +14,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic, curve_points, curve_tangents, from_frame
 from gcd_dataset.errors import shown
 from gcd_dataset.generator.lay_plan import (
+    FOLDED,
     INK,
     RGB,
     LayPlan,
@@ -121,6 +122,9 @@ def _panel(piece: SheetPanel, height: float, ink: RGB | None = None, *, is_named
         attributes = {"data-edge": str(index)} | ({} if seam is None else {"data-seam": str(seam)})
         if isinstance(edge, InnerLine):
             attributes |= {"data-role": shown(edge.role), "stroke-width": str(0.5 * LINE_WIDTH)}
+            if edge.angle:
+                dashes = " ".join(map(str, FOLDED[edge.angle > 0.0]))
+                attributes |= {"data-angle": f"{edge.angle:g}", "stroke-dasharray": dashes}
         line = f"M{_point(start)} {_command(start, end, edge.curve)}"
         ElementTree.SubElement(group, "path", {"d": line, "stroke": _hex(ink or seam_colour(seam)), **attributes})
     group.append(_grain_line(piece, ink or INK))

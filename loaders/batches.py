@@ -93,7 +93,7 @@ class _Batch(dict[str, Any]):
     edges: Float[Tensor, "*b e 13"] = _entry()
     stitches: Int[Tensor, "*b s 3"] = _entry()
     closures: Float[Tensor, "*b s 3"] = _entry()
-    lines: Float[Tensor, "*b n 16"] = _entry()
+    lines: Float[Tensor, "*b n 17"] = _entry()
     faces: Int[Tensor, "*b f 3"] = _entry()
     panel_id: Int[Tensor, "*b f"] = _entry()
     corners: Int[Tensor, "*b f 3"] = _entry()

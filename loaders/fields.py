@@ -38,7 +38,7 @@ class GarmentFields(TypedDict, total=False):
     """A row for each seam; columns of ``StitchColumn``."""
     closures: Float[Tensor, "s 3"]
     """How far the same seams are joined, and by what; columns of ``ClosureColumn``."""
-    lines: Float[Tensor, "n 16"]
+    lines: Float[Tensor, "n 17"]
     """Lines inside the panels [cm]; columns of ``LineColumn``."""
     body: Float[Tensor, " k"]
     """Weights of the wearer's shape components [standard deviations]."""

@@ -20,8 +20,9 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.faults import Rule, Severity, check_pattern, require_valid
 from gcd_dataset.generator import make
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.records import Closure, Edge, EdgeRef, InnerLine, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Closure, Edge, EdgeRef, InnerLine, LineRole, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern
+from tests.pleats import pleated_square
 
 HERE = Placement(np.zeros(3), np.zeros(3))
 
@@ -70,6 +71,10 @@ def lined(*ends: tuple[float, float]) -> Panel:
     """The square of 10 cm with a line from each vertex after its corners to the next but one."""
     lines = tuple(InnerLine(4 + i, 5 + i) for i in range(0, len(ends), 2))
     return replace(square(), vertices=np.concatenate([square().vertices, ends]), lines=lines)
+
+
+def creased(panel: Panel, line: InnerLine) -> Panel:
+    return replace(panel, lines=(line,))
 
 
 def labelled(panel: Panel, index: int, label: str) -> Panel:
@@ -128,6 +133,12 @@ BROKEN: dict[Rule, tuple[Callable[[], Pattern], str, int | None, str]] = {
         "line 0 meets the outline at (10.00, 2.80) cm: part them",
     ),
     Rule.LINE_OUTSIDE: (lambda: alone(lined((12, 2), (12, 9))), "front", None, "line 0: draw it inside the outline"),
+    Rule.FOLD: (
+        lambda: alone(creased(square(), InnerLine(0, 2, Quadratic((0.5, 0.1)), LineRole.FOLD, 180.0))),
+        "front",
+        None,
+        "line 0 has a rest angle of 180°: draw it straight, from the outline to the outline",
+    ),
     Rule.CLOSURE: (
         lambda: sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 3), closed=(0.8, 0.2))),
         "front",
@@ -589,3 +600,25 @@ def test_at_most_a_hundred_crossings_of_a_panel_are_reported() -> None:
 def test_edges_of_almost_no_length_cross_nothing_without_warnings() -> None:
     tiny = 5e-324
     assert found(cornered([(0, 0), (tiny, 0), (9, 9), (0, 1)])) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "figure"),
+    [
+        (InnerLine(0, 2, role=LineRole.STITCH, angle=90.0), "its role is stitch, give it the role fold"),
+        (InnerLine(0, 2, role=LineRole.FOLD, angle=270.0), "give -180 to 180"),
+        (InnerLine(0, 2, role=LineRole.FOLD, angle=float("nan")), "give -180 to 180"),
+    ],
+)
+def test_what_cannot_be_folded_is_named(line: InnerLine, figure: str) -> None:
+    [fault] = check_pattern(alone(creased(square(), line)))
+    assert fault.rule is Rule.FOLD
+    assert figure in fault.figure
+
+
+def test_an_edge_is_in_one_seam_beside_those_of_its_stack() -> None:
+    """The layers of a pleat are sewn to each other and to a band; without its fold they would be sewn twice."""
+    whole = pleated_square()
+    assert Rule.STITCHED_TWICE not in {fault.rule for fault in check_pattern(whole)}
+    flat = replace(whole, panels=tuple(replace(panel, lines=()) for panel in whole.panels))
+    assert Rule.STITCHED_TWICE in {fault.rule for fault in check_pattern(flat)}

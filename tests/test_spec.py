@@ -25,6 +25,7 @@ from gcd_dataset.spec import (
     spec_from_pattern,
     write_pattern,
 )
+from tests.pleats import pleated_square
 
 
 def square(name: str, *, x: float = 0.0, z: float = 0.0, curves: tuple[Curve, ...] = (LINE,) * 4) -> Panel:
@@ -388,3 +389,14 @@ def test_a_file_of_megabytes_is_refused_before_it_is_parsed(tmp_path: Path) -> N
     path.write_bytes(b"{}" + b" " * (4 << 20))
     with pytest.raises(SpecError, match="more than 4 MB"):
         read_pattern(path)
+
+
+def test_pleats_survive_and_a_reader_of_stitches_sews_each_edge_once() -> None:
+    """The seams between the layers of a pleat are in ``line_stitches``."""
+    pattern = pleated_square()
+    spec = parsed(pattern)
+    read = pattern_from_spec(spec, "pleat")
+    assert (read.panels, read.seams) == (pattern.panels, pattern.seams)
+    sides = [(side["panel"], side["edge"]) for stitch in spec["pattern"]["stitches"] for side in stitch]
+    assert len(sides) == len(set(sides)) == 6
+    assert [line["angle"] for line in spec["pattern"]["panels"]["skirt"]["lines"]] == [180.0, -180.0]

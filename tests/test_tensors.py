@@ -93,6 +93,10 @@ def test_lines_survive_and_seams_name_them_after_the_edges() -> None:
     for index in (4, 5):
         before, after = (sample_curve(*p.edge_ends(index), p.edge(index).curve, 9) for p in (own, panel))
         assert np.allclose(before, after, rtol=0, atol=LOSSLESS)
+    folded = replace(own, lines=(replace(lines[0], angle=-90.5), lines[1]))
+    pressed = encode_pattern(replace(pattern, panels=(folded,)))
+    assert [line.angle for line in decode_pattern(pressed).panels[0].lines] == [-90.5, 0.0]
+    assert hash_pattern(0, tensor).value != hash_pattern(0, pressed).value
     moved = tensor.lines.copy()
     moved[1, LineColumn.END_X] += 1.0
     assert hash_pattern(0, tensor).value != hash_pattern(0, replace(tensor, lines=moved)).value

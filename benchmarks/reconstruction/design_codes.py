@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments import GarmentDesign, design_from_dict
 from gcd_dataset.generator.garments.parameter import Choice, Space, plain
-from gcd_dataset.generator.garments.space import Leaf, leaves
+from gcd_dataset.generator.garments.space import DesignSpace, Leaf, leaves
+from gcd_dataset.generator.garments.wardrobe import GARMENTS
 
 UNDER_COLLAR = {"Turtle": (False, False), "Hood2Panels": (False, False), "SimpleLapel": (True, False)}
 """Whether a collar leaves the neckline's shape in front and behind to the design; otherwise it is a circle."""
@@ -32,14 +33,31 @@ OWN = {
 }  # fmt: skip
 """Section and parameters of skirts, without length and rise."""
 
-PARAMETERS: tuple[Leaf, ...] = tuple(leaves(GarmentDesign, added=True))
-"""All parameters, in the order of a row."""
+KNOWN = {"front", "cape", "poncho"}
+"""Sections drawn on request alone that have rows: the kept weights were trained with them."""
+
+
+def _on_request() -> Iterator[str]:
+    """Sections that random designs leave at their defaults unless an overlay names them."""
+    yield from (garment.section for garment in GARMENTS if not garment.weight)
+    for entry in DesignSpace.declared(GarmentDesign).entries:
+        first = entry.space.entries[0].space if isinstance(entry.space, DesignSpace) else None
+        if isinstance(first, Choice) and len(first.range) == 1:
+            yield entry.key
+
+
+ON_REQUEST = frozenset(_on_request()) - KNOWN
+PARAMETERS: tuple[Leaf, ...] = tuple(
+    leaf for leaf in leaves(GarmentDesign, added=True) if leaf.path.partition(".")[0] not in ON_REQUEST
+)
+"""The parameters of random designs and of the ``KNOWN`` sections, in the order of a row."""
 
 
 def encode_design(values: Mapping[str, Any]) -> Float[np.ndarray, " d"]:
     """The row of a design in plain values (``design_to_dict``): numbers as they are, choices by the row of the option.
 
-    NaN stands for a parameter that is missing or outside its range, such as one of another version.
+    NaN stands for a parameter that is missing or outside its range, such as one of another version, and for a garment
+    ``ON_REQUEST``.
     """
     return np.array([_code(leaf.space, _at(values, leaf.path)) for leaf in PARAMETERS], np.float32)
 
@@ -77,12 +95,16 @@ def _code(space: Space, value: Any) -> float:
         read = space.read(value)
     except ConfigError:
         return np.nan
-    return float(options_of(space).index(plain(read))) if isinstance(space, Choice) else float(read)
+    if not isinstance(space, Choice):
+        return float(read)
+    options = options_of(space)
+    return float(options.index(plain(read))) if plain(read) in options else np.nan
 
 
 def options_of(space: Choice) -> list[Any]:
-    """The plain values of the options, each once."""
-    return list(dict.fromkeys(plain(option) for option in space.options))
+    """The plain values of the options, each once; without garments ``ON_REQUEST``."""
+    garments = ((option, getattr(option, "garment", None)) for option in space.options)
+    return list(dict.fromkeys(plain(o) for o, garment in garments if not garment or garment.section not in ON_REQUEST))
 
 
 def _value(space: Space, code: float) -> Any:

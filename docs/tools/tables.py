@@ -53,7 +53,8 @@ ROWS: Mapping[str, str] = {
 """Field to the letter of its first axis."""
 UNITS: Mapping[str, str] = {
     "meta": "", "spec": "cm, degrees", "design": "1", "measures": "cm, degrees", "panels": "cm, rad, rows",
-    "edges": "cm, rows", "stitches": "rows", "closures": "1", "lines": "cm, rows", "body": "standard deviations",
+    "edges": "cm, rows", "stitches": "rows", "closures": "1", "lines": "cm, degrees, rows",
+    "body": "standard deviations",
     "faces": "rows", "uv": "cm", "panel_id": "rows", "labels": "rows", "seams": "rows", "corners": "rows",
     "uv_vertex": "rows", "box": "cm", "verts": "cm", "points": "cm, 1", "front": "sRGB", "back": "sRGB",
 }  # fmt: skip

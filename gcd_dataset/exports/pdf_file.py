@@ -25,7 +25,7 @@ from gcd_dataset.errors import ConfigError, did_you_mean, shown
 from gcd_dataset.exports.inputs import Graded, optional, patterns_of, require_suffix
 from gcd_dataset.exports.pieces import CutPiece, cut_pieces
 from gcd_dataset.files import plain_names, write_whole
-from gcd_dataset.generator.lay_plan import RGB, boxes_by_name, pack, seam_colour
+from gcd_dataset.generator.lay_plan import FOLDED, RGB, boxes_by_name, pack, seam_colour
 from gcd_dataset.records import Panel, Pattern, Sample
 
 MARGIN = 1.0  # cm that printers leave blank
@@ -376,9 +376,11 @@ def _draw_piece(canvas: Any, piece: CutPiece, size: str) -> None:
     for fold in piece.folds:
         _draw_fold(canvas, fold)
     canvas.setLineWidth(GRAIN_WIDTH)
-    for line in piece.lines:
-        for start, end in pairwise(line.tolist()):
+    for line, points in zip(piece.panel.lines, piece.lines, strict=True):
+        canvas.setDash(list(FOLDED[line.angle > 0.0]) if line.angle else [])
+        for start, end in pairwise(points.tolist()):
             canvas.line(*start, *end)
+    canvas.setDash([])
     _arrow(canvas, *piece.grain)
     _arrow(canvas, *piece.grain[::-1])
     x, y = (0.98 * piece.cut[np.linalg.norm(piece.cut, axis=1).argmax()]).tolist()
@@ -515,9 +517,11 @@ def _draw_key(canvas: Any, sheet: _PaperSheet, x: float, y: float) -> None:
         "grain (warp)",
         "drill hole of a dart",
         "seam: sew equal numbers together",
+        "mountain fold: a ridge on the right side",
+        "valley fold",
     )
     levels = [y - 0.75 * row for row in range(len(texts))]
-    cut, sew, single, double, grain, drill, number = levels
+    cut, sew, single, double, grain, drill, number, *folds = levels
     canvas.setLineWidth(CUT_WIDTH)
     canvas.line(x, cut, end, cut)
     for level, slits in ((single, (0.75,)), (double, (0.55, 0.95))):
@@ -533,6 +537,10 @@ def _draw_key(canvas: Any, sheet: _PaperSheet, x: float, y: float) -> None:
     canvas.setLineWidth(GRAIN_WIDTH)
     for ends in ((x, end), (end, x)):
         _arrow(canvas, *(np.array([at, grain]) for at in ends))
+    for fold, dashes in zip(folds, FOLDED.values(), strict=True):
+        canvas.setDash(list(dashes))
+        canvas.line(x, fold, end, fold)
+    canvas.setDash([])
     canvas.setFillGray(GREY)
     _text(canvas, "7", middle, number - 0.15, SMALL)
     canvas.setFillGray(0)

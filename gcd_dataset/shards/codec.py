@@ -25,6 +25,7 @@ from jaxtyping import Float32, Int
 
 from gcd_dataset.errors import GcdError, ShardError
 from gcd_dataset.jsonfile import found
+from gcd_dataset.meshedges import fold_edges
 from gcd_dataset.records import (
     MEASURES,
     NO_MESH,
@@ -809,6 +810,7 @@ def _mesh(field: Mapping[str, Any], pattern: Pattern) -> BoxMesh:
         panel_names=tuple(panel.name for panel in pattern.panels),
         panel_labels=tuple(panel.label for panel in pattern.panels),
         labels={label: labels[labels[:, 1] == row, 0] for label, row in rows.items()},
+        folds=fold_edges(pattern, field["uv"].astype(float), ids["corners"], ids["panel_id"]),
         **ids,
     )
 

@@ -10,6 +10,7 @@ import warp as wp
 
 from gcd_dataset.generator.device import to_host
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
+from gcd_dataset.generator.drape.fabrics import DYNE_CM
 from gcd_dataset.generator.drape.kernels import rows as row_kernels
 from gcd_dataset.generator.drape.kernels import topology as kernels
 from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Corner, Rows, Spring
@@ -18,6 +19,8 @@ from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.generator.drape.tucked import widths
 from gcd_dataset.records import BoxMesh
 
+PRESSED = 10.0  # 1/cm: stiffness of a pressed crease, over the bending rigidity
+FOLDED_GAP = 0.3  # cm between the layers of a fold, at the apexes of its faces
 WARP = 32  # threads of a CUDA warp
 
 
@@ -65,11 +68,20 @@ def build_topology(
         batch.launch(kernels.take_in, len(surface.edges), [surface.edges, start, width], [hinges.spring])
     batch.find_faces(surface)
     batch.find_edges(surface)
-    rows = batch.rows(surface, coupled=not all(job.fabric.isotropic for job in jobs))
+    folds = [folds_of(job) for job in jobs]
+    most = max((np.bincount(each.apexes.ravel()).max(initial=0) for each in folds), default=0)
+    rows = batch.rows(surface, coupled=not all(job.fabric.isotropic for job in jobs), further=int(most))
     keeper = batch.marked(keepers)
     n = int(batch.vertices[-1])
     mass, stiffness = batch.empty(n, float), batch.empty(n, float)
+    if folded := sum(len(each.edges) for each in folds):
+        edges = batch.joined([each.edges for each in folds], np.int32, wp.vec2i, batch.vertices)
+        batch.launch(row_kernels.free_hinges, folded, [edges, surface], [hinges])
     batch.launch(row_kernels.weigh_rows, n, [surface, hinges, world, keeper, sheets], [mass, stiffness, rows])
+    if folded:
+        apexes = batch.joined([each.apexes for each in folds], np.int32, wp.vec2i, batch.vertices)
+        springs = batch.joined([each.springs for each in folds], np.float32, wp.vec3)
+        batch.launch(row_kernels.press_folds, 1, [apexes, springs], [stiffness, rows])
     return Topology(
         vertex_world=world,
         start=start,
@@ -83,6 +95,49 @@ def build_topology(
         face_offset=batch.faces,
         edge_offset=edge_offset,
     )
+
+
+@dataclass(frozen=True)
+class Folds:
+    """The pressed folds of a garment as springs across them, between the apexes of the two faces along an edge."""
+
+    edges: np.ndarray
+    """(k, 2) vertices of the edges, whose hinges do not bend back."""
+    apexes: np.ndarray
+    """(m, 2) vertices that the springs join."""
+    springs: np.ndarray
+    """(m, 3) stiffness, rest length and start length [g/s², cm, cm]."""
+
+
+def folds_of(job: DrapeJob) -> Folds:
+    """The folds of a garment with a rest angle.
+
+    A spring's rest length is the distance of its ends at the rest angle, its stiffness that of a crease, ``PRESSED``
+    times the bending rigidity of a centimetre of cloth: k = B L / (h₁ h₂), for faces of heights h over an edge L.
+    """
+    mesh = job.box_mesh
+    rows, angles = mesh.folds[:, :2].astype(int), np.radians(mesh.folds[:, 2])
+    number = {frozenset(pair): k for k, pair in enumerate(rows.tolist())}
+    beside: dict[int, list[int]] = {}
+    for a, b, c in mesh.corners[np.isin(mesh.corners, rows).sum(axis=1) > 1].tolist():
+        for pair, apex in (((a, b), c), ((b, c), a), ((c, a), b)):
+            if (k := number.get(frozenset(pair))) is not None:
+                beside.setdefault(k, []).append(apex)
+    vertex = mesh.uv_vertex
+    inner = [k for k, pair in beside.items() if len(pair) == 2 and vertex[pair[0]] != vertex[pair[1]]]
+    across = np.array([beside[k] for k in inner], int).reshape(-1, 2)
+    start, end = mesh.uv[rows[inner]].transpose(1, 0, 2)
+    length = np.linalg.norm(end - start, axis=1)
+    along = (end - start) / np.maximum(length, 1e-9)[:, None]
+    out = mesh.uv[across] - start[:, None]
+    at = np.einsum("kad,kd->ka", out, along)
+    high, low = np.abs(out[..., 0] * along[:, None, 1] - out[..., 1] * along[:, None, 0]).T
+    flat = high**2 + low**2 + 2.0 * high * low * np.cos(angles[inner])
+    rest = np.sqrt(np.maximum(flat, 0.0) + (at[:, 0] - at[:, 1]) ** 2 + FOLDED_GAP**2)
+    apexes = vertex[across]
+    now = np.linalg.norm(np.subtract(*mesh.vertices[apexes].transpose(1, 0, 2)), axis=1)
+    stiffness = PRESSED * job.fabric.bend.weft * DYNE_CM * length / np.maximum(high * low, 1e-6)
+    return Folds(vertex[rows], apexes, np.stack([stiffness, rest, now], axis=1))
 
 
 @dataclass(frozen=True)
@@ -161,12 +216,15 @@ class MeshBatch:
         self.launch(kernels.find_firsts, size + 1, [keys, size], [first])
         return owner[:size], first
 
-    def rows(self, surface: kernels.ClothSurface, *, coupled: bool) -> Rows:
-        """Uninitialised rows for all vertices; ``coupled``: with the corners that fabrics with a grain need."""
+    def rows(self, surface: kernels.ClothSurface, *, coupled: bool, further: int) -> Rows:
+        """Uninitialised rows for all vertices; ``coupled``: with the corners that fabrics with a grain need.
+
+        ``further``: most springs of a vertex across folds.
+        """
         # More faces than edges, and a bend for each face, where more than two panels meet.
         widest, n = wp.zeros(1, dtype=int, device=self.device), int(self.vertices[-1])
         self.launch(kernels.find_widest, n, [surface.first_edge, surface.first_face], [widest])
-        return empty_rows(n, int(to_host(widest)[0]), self.device, coupled=coupled)
+        return empty_rows(n, int(to_host(widest)[0]) + further, self.device, coupled=coupled)
 
     def marked(self, vertices: Sequence[np.ndarray]) -> wp.array:
         """(v) 1 at the given vertices of each garment, 0 elsewhere."""

@@ -61,7 +61,9 @@ def sewing_start(mesh: BoxMesh, body: Body, under: Sequence[WornCloth] = ()) -> 
     except BodyError:  # a body without a trunk, such as a ball
         return mesh.vertices
     placed = np.array(mesh.vertices, float)
-    if skirt is not None and on_cone:
+    if skirt is not None and np.isin(mesh.folds[:, :2], mesh.corners[skirts[mesh.panel_id]]).any():
+        skirt.place_folded(limbs[BodyPart.TRUNK], placed)
+    elif skirt is not None and on_cone:
         skirt.place_on_cone(limbs[BodyPart.TRUNK], placed)
     elif skirts.any():
         _end_above_feet(distinct(mesh.faces[skirts[mesh.panel_id]], len(placed)), body, placed)

@@ -20,6 +20,7 @@ SLOPE = 0.5  # cm of descent per cm of distance from a flat panel's top, at leas
 TOP_BAND = 2.0  # cm, distance from the nearest vertex of a panel within which vertices count as its top
 CLEARANCE = 2.0  # cm from the ellipse round the trunk to the top of the cone
 HIPS = 30.0  # cm below the skirt's top: down to here the ellipse contains the trunk, and the waves grow
+LEAST_FLARE = 1e-3  # cm per cm: a skirt that widens less begins straight
 SINES = (0.15, 0.6)  # least and largest sine of the angle between the cone and its axis
 WAVE, WAVES = 0.4, 17.0  # amplitude of small waves that start the folds [cm], and their number round the cone
 
@@ -108,6 +109,39 @@ class Skirt:
         placed[rows, 0] = trunk.origin[0] + (trunk.wide + out) * np.sin(turn)
         placed[rows, 1] = self._level - np.sqrt(1.0 - sine**2) * down
         forward = np.where(self.front[rows], 1.0, -1.0)
+        placed[rows, 2] = trunk.origin[2] + forward * (trunk.deep + out) * np.cos(turn)
+
+    def place_folded(self, trunk: Limb, placed: Float[np.ndarray, "v 3"]) -> None:
+        """Set the rows of ``placed`` of a skirt that begins folded to positions round the trunk, its layers in order.
+
+        The folded panels are ring sectors about one point, where the lines of the side seams meet. A sector becomes
+        half a cone: its radii run down the cone, its arcs round it [cm]. The skirt begins at its top, without the gap
+        to its waistband.
+        """
+        if not len(self.side):
+            return
+        rows = self.cloth.vertices
+        x, y, z = self.mesh.vertices[rows].T
+        seam = self.mesh.vertices[self.side]
+        slope, half = np.polyfit(seam[:, 1], np.abs(seam[:, 0]), 1)
+        apex = half / max(-slope, LEAST_FLARE)
+        angle, radius = np.arctan2(x, apex - y), np.hypot(x, apex - y)
+        side, top, front = np.isin(rows, self.side), np.isin(rows, self.top), self.front[rows]
+        spread, spacing = float(np.abs(angle[side]).mean()), float(np.median(self.cloth.edges[1]))
+        radius[top] = radius[~(side | top)].min() - spacing
+        trunk = trunk.section(self._level - HIPS, self._level + CLEARANCE)
+        out = np.maximum(spread * radius / (0.5 * np.pi) - 0.5 * (trunk.wide + trunk.deep), CLEARANCE)
+        forward = np.where(front, 1.0, -1.0)
+        for own in (front & ~side & ~top, ~front & ~side & ~top):
+            out[own] += forward[own] * (z[own] - np.median(z[own]))
+            # The seams lie between the sides of both panels, which differ: each panel reaches its own.
+            last = np.abs(angle[own]).argmax()
+            angle[own] *= spread / (abs(angle[own][last]) + spacing / radius[own][last])
+        turn = np.clip(0.5 * np.pi * angle / spread, -0.5 * np.pi, 0.5 * np.pi)
+        placed[rows, 0] = trunk.origin[0] + (trunk.wide + out) * np.sin(turn)
+        placed[rows, 1] = self._level - np.sqrt(1.0 - min(spread / (0.5 * np.pi), SINES[1]) ** 2) * (
+            radius - radius[top].min()
+        )
         placed[rows, 2] = trunk.origin[2] + forward * (trunk.deep + out) * np.cos(turn)
 
     @cached_property

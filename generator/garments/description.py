@@ -45,6 +45,7 @@ class Tag(Enum):
     CIRCLE = "circle skirt", "three quarters of a circle or more, or an off-centre circle"
     PENCIL = "pencil skirt", "a skirt fitted to the hips, usually by darts, its hem no wider"
     STRAIGHT = "straight skirt", "a rectangle in front and behind, hardly flared or gathered"
+    PLEATED = "pleated skirt", "a skirt with knife, box or inverted pleats, pressed from waist to hem"
     GATHERED = "gathered skirt", f"a rectangle or trapezoid, gathered by {RUFFLES} or more at the waist"
     PANELLED = "panelled skirt", "four or more panels round the body"
     GODETS = "godet skirt", "triangular inserts in the hem"
@@ -69,6 +70,7 @@ class Tag(Enum):
     OPEN_FRONT = "open front", "fronts that are not joined, as of a cardigan"
     ZIP = "zip", "fronts joined by a zip"
     BUTTONS = "buttons", "fronts that overlap, joined by buttons"
+    POCKETS = "pockets", "patch pockets on the chest of a shirt or on the back of trousers"
     ASYMMETRIC = "asymmetric", "halves of a shirt that differ, a slanted hem, or an off-centre skirt or tier"
     RUFFLED = "ruffled", f"gathers of {RUFFLES} or more at waist, levels, sleeves or cuffs"
 

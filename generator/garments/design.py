@@ -24,6 +24,7 @@ from gcd_dataset.generator.garments.neckline import LeftNecklineDesign, Neckline
 from gcd_dataset.generator.garments.pants import PANTS, PantsDesign
 from gcd_dataset.generator.garments.parameter import Choice, plain
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT, PencilSkirtDesign
+from gcd_dataset.generator.garments.pocket import PocketDesign
 from gcd_dataset.generator.garments.shirt import LeftShirtDesign, ShirtDesign, UpperHalf
 from gcd_dataset.generator.garments.sleeve import LeftSleeveDesign, SleeveDesign
 from gcd_dataset.generator.garments.space import (
@@ -87,6 +88,7 @@ class GarmentDesign(Design):
     levels_skirt: LevelsSkirtDesign = section_of(LEVELS_SKIRT)
     pants: PantsDesign = section_of(PANTS)
     front: FrontDesign = part(FrontDesign, added=True)
+    pocket: PocketDesign = part(PocketDesign, added=True)
 
     def sections_used(self) -> frozenset[str]:
         """The names of the fields that the garment is drawn from."""
@@ -97,7 +99,19 @@ class GarmentDesign(Design):
             used.update(meta.upper.garment.sections_used(self))
         if meta.bottom:
             used.update(part.field for part in (meta.bottom.garment, *meta.bottom.garment.parts(self)))
+        if self.pockets():
+            used.add("pocket")
         return frozenset(used)
+
+    def pocket_sides(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The sides with a chest pocket and with a back pocket; only straight shirts and trousers have them."""
+        chest = self.pocket.sides(self.pocket.chest) if self.meta.upper is Upper.SHIRT else ()
+        return chest, self.pocket.sides(self.pocket.back) if self.meta.bottom is Bottom.PANTS else ()
+
+    def pockets(self) -> tuple[str, ...]:
+        """The panels that have a pocket."""
+        chest, back = self.pocket_sides()
+        return (*(f"{side}_ftorso" for side in chest), *(f"pant_b_{side[0]}" for side in back))
 
     def mends(self) -> frozenset[Mend]:
         """The mends that may change the pattern of the garment."""

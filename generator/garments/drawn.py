@@ -9,6 +9,7 @@ from jaxtyping import Float
 from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.description import HEMS, RUFFLES, CuffGathers, Description, Detail, Setting, Tag
 from gcd_dataset.generator.garments.design import GarmentDesign
+from gcd_dataset.generator.garments.pocket import pocket_details
 from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
 
 SAME = 0.5  # cm: halves whose panels differ by less are symmetrical
@@ -64,7 +65,7 @@ def most_gathered(pattern: Pattern) -> float:
 
 def _boundaries(pattern: Pattern) -> dict[tuple[str, str], tuple[float, float]]:
     """Two parts, in either order, to the total lengths of their edges in the seams between them [cm]."""
-    lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
+    lengths = {panel.name: panel.lengths() for panel in pattern.panels}
     parts = {panel.name: part_of(panel) for panel in pattern.panels}
     found: dict[tuple[str, str], tuple[float, float]] = defaultdict(lambda: (0.0, 0.0))
     for seam in pattern.seams:
@@ -122,6 +123,8 @@ def garment_tags(size: Measurements, design: GarmentDesign, pattern: Pattern) ->
         found.add(Tag.RUFFLED)
     if len(design.halves()) > 1 and not sides_match(details, pattern):
         found.add(Tag.ASYMMETRIC)
+    if design.pockets():
+        found.add(Tag.POCKETS)
     if design.meta.bottom:
         found.update([_hem(size, design)] + ([Tag.WAISTBAND] if design.meta.wb else []))
     return tuple(tag.value for tag in Tag if tag in found)
@@ -134,9 +137,10 @@ def described(
     meta = design.meta
     above = Setting(size, cuffs=cuff_gathers(pattern, legs=False))
     setting = Setting(size, bottom_rise(design), gather_below(pattern), cuff_gathers(pattern, legs=True))
+    chest, back = design.pocket_sides()
     return (
-        meta.upper.garment.describe(above, design) if meta.upper else None,
-        meta.bottom.garment.describe(setting, design) if meta.bottom else None,
+        meta.upper.garment.describe(above, design).adding(*pocket_details("chest", chest)) if meta.upper else None,
+        meta.bottom.garment.describe(setting, design).adding(*pocket_details("back", back)) if meta.bottom else None,
     )
 
 

@@ -10,6 +10,7 @@ from gcd_dataset.generator.garments.godet_skirt import GODET_SKIRT
 from gcd_dataset.generator.garments.levels_skirt import LEVELS_SKIRT
 from gcd_dataset.generator.garments.pants import PANTS
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
+from gcd_dataset.generator.garments.pleated_skirt import PLEATED_SKIRT
 from gcd_dataset.generator.garments.upper import FITTED_SHIRT, STRAIGHT_SHIRT
 
 
@@ -37,6 +38,7 @@ class Bottom(GarmentChoice):
     PANELS = PANEL_SKIRT
     PENCIL = PENCIL_SKIRT
     LEVELS = LEVELS_SKIRT
+    PLEATED = PLEATED_SKIRT
 
 
 GARMENTS: tuple[Garment[Any], ...] = tuple(member.garment for kind in (Upper, Bottom) for member in kind)

@@ -8,14 +8,16 @@ A seam along a line turns no cloth over: there panels lie on each other.
 import logging
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 import shapely.ops
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from gcd_dataset.curves import sample_curve, signed_area
+from gcd_dataset.curves import reflection, sample_curve, signed_area
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.regions import fill_regions
 from gcd_dataset.generator.mesh.rows import distinct, stable_order
@@ -38,6 +40,7 @@ from gcd_dataset.generator.mesh.triangulate import (
     flat_areas,
     lattice_size,
 )
+from gcd_dataset.meshedges import ON_FOLD, fold_edges, mesh_edges, on_line
 from gcd_dataset.records import BoxMesh, Closure, EdgeRef, Panel, Pattern, Seam
 
 SAMPLES = 17  # points of an edge, for the sign of a loop's area
@@ -115,6 +118,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
     Faces on both sides of a seam have the same winding, counter-clockwise as seen from outside the garment. Outside is
     the right side of the cloth except on panels that their seams turn over, such as lapels: see ``turned_panels``.
     Where buttons join two lines, the overlapping panels start ``LAYERS`` apart, the left one of the seam outside.
+    Folds with a rest angle over 90° start folded flat, mountain folds ``LAYERS`` outside of valley folds.
 
     Raises ``MeshError`` for a panel or a seam that cannot be meshed, with its name and a remedy.
     """
@@ -124,6 +128,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
         raise MeshError(f"pattern {pattern.name} has no panels: there is nothing to mesh")
     panels = _mesh_panels(pattern, spacing)
     edges = panels.edges(pattern)
+    panels = replace(panels, positions=_folded(panels, pattern))
     sewn = stitch_points(pattern.seams, [(edges[seam.left], edges[seam.right]) for seam in pattern.seams])
     vertex = merge_points(sewn, panels.panel_of_point, pattern.seams)
     corners = _consistent_corners(panels, pattern)
@@ -142,6 +147,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
         panel_labels=tuple(panel.label for panel in pattern.panels),
         seams=np.stack([vertex[sewn.left], sewn.seam], axis=1),
         labels=_labels(pattern, edges, vertex),
+        folds=fold_edges(pattern, panels.uv, corners, panels.panel_of_point[corners[:, 0]]),
     )
 
 
@@ -187,6 +193,74 @@ def _mesh_panels(pattern: Pattern, spacing: float) -> _MeshedPanels:
         borders=borders,
         first=first,
     )
+
+
+def _folded(panels: _MeshedPanels, pattern: Pattern) -> Float[np.ndarray, "c 3"]:
+    """The positions with all folds of more than 90° folded flat; of each panel the cloth nearest its middle stays.
+
+    Heights above the panel's plane, on its right side: half of ``LAYERS`` at mountain folds, less at valley folds,
+    linear between two folds.
+    """
+    positions = panels.positions.copy()
+    for number, panel in enumerate(pattern.panels):
+        creases = [line for line in panel.lines if abs(line.angle) > 90.0]
+        if not creases:
+            continue
+        faces = panels.corners[panels.panel_of_point[panels.corners[:, 0]] == number]
+        ends = panel.vertices[[[line.start, line.end] for line in creases]]
+        layer, beside = _layers(faces, panels.uv, ends)
+        turns, waiting = {0: np.eye(3)}, [0]
+        while waiting:
+            row = waiting.pop()
+            for other, k in beside[row]:
+                if other not in turns:
+                    turns[other] = turns[row] @ reflection(*ends[k])
+                    waiting.append(other)
+        # Of the larger part of the cloth, which lies right side out, the layer nearest the middle stays.
+        areas = np.bincount(layer, np.abs(flat_areas(panels.uv[faces])))
+        out = np.array([np.linalg.det(turns[row]) > 0.0 for row in range(len(areas))])
+        seen = out if areas[out].sum() >= areas[~out].sum() else ~out
+        middle = panels.uv[panels.points_of(number)].mean(axis=0)
+        at = np.array([panels.uv[faces[layer == row]].mean(axis=(0, 1)) for row in range(len(areas))])
+        stays = np.linalg.inv(turns[int(np.argmin(np.where(seen, np.linalg.norm(at - middle, axis=1), np.inf)))])
+        facing = signed_area(panel.vertices[[edge.start for edge in panel.edges]])
+        outwards = np.copysign(1.0, facing) * panel.placement.matrix[:, 2]
+        heights = 0.5 * LAYERS * np.sign([line.angle for line in creases])
+        for row, turn in turns.items():
+            points, bounds = np.unique(faces[layer == row]), [k for _, k in beside[row]]
+            along = (ends[bounds, 1] - ends[bounds, 0]) / np.linalg.norm(ends[bounds, 1] - ends[bounds, 0], axis=1)[
+                :, None
+            ]
+            off = panels.uv[points][:, None] - ends[bounds, 0]
+            weights = 1.0 / np.maximum(np.abs(off[..., 0] * along[:, 1] - off[..., 1] * along[:, 0]), TOUCH)
+            height = (weights * heights[bounds]).sum(axis=1) / weights.sum(axis=1)
+            height[(weights < 1.0 / ON_FOLD).all(axis=1) & seen[row]] *= 1.5
+            moved = stays @ turn
+            flat = panels.uv[points] @ moved[:2, :2].T + moved[:2, 2]
+            positions[points] = panel.placement.apply(flat) + height[:, None] * outwards
+    return positions
+
+
+def _layers(
+    faces: Int[np.ndarray, "f 3"], uv: Float[np.ndarray, "c 2"], folds: Float[np.ndarray, "k 2 2"]
+) -> tuple[Int[np.ndarray, " f"], list[list[tuple[int, int]]]]:
+    """The part between folds of each face; for each part the parts beside it, with the folds between them."""
+    edges = mesh_edges(faces)
+    fold = np.full(len(edges.ends), -1)
+    for k, ends in enumerate(folds):
+        fold[on_line(uv[edges.ends], ends).all(axis=1)] = k
+    sides = np.argsort(edges.of_faces.ravel(), kind="stable")
+    number = edges.of_faces.ravel()[sides]
+    inner = np.flatnonzero(number[1:] == number[:-1])
+    pairs, between = np.stack([sides[inner], sides[inner + 1]]) // 3, fold[number[inner]]
+    graph = coo_array((np.ones((between < 0).sum()), pairs[:, between < 0]), shape=(len(faces), len(faces)))
+    count, layer = connected_components(graph, directed=False)
+    beside: list[list[tuple[int, int]]] = [[] for _ in range(count)]
+    rows = np.column_stack([layer[pairs].T, between])[between >= 0]
+    for one, other, k in np.unique(rows, axis=0).tolist():
+        beside[one].append((other, k))
+        beside[other].append((one, k))
+    return layer, beside
 
 
 def _layered(

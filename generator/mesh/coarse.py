@@ -202,7 +202,7 @@ class CoarseMesh:
 
 def coarse_start(mesh: BoxMesh) -> CoarseMesh | None:
     """The coarse mesh that a drape starts with; ``None`` if the mesh is small or a panel too narrow."""
-    if len(mesh.vertices) < FEW:
+    if len(mesh.vertices) < FEW or len(mesh.folds):  # a coarse mesh would lose the folds
         return None
     try:
         return coarsen(mesh)
@@ -213,7 +213,9 @@ def coarse_start(mesh: BoxMesh) -> CoarseMesh | None:
 def coarsen(mesh: BoxMesh) -> CoarseMesh:
     """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow, or sewn along a line."""
     borders = PanelLoops.of(mesh)
-    if not np.isin(mesh.seams[:, 0], mesh.uv_vertex[borders.rows]).all():
+    inner = np.ones(len(mesh.uv), bool)
+    inner[borders.rows] = False
+    if np.isin(mesh.uv_vertex[inner], mesh.seams[:, 0]).any():
         raise MeshError("a seam runs inside a panel: it cannot be made coarser")
     thinned = thin(mesh, borders)
     return _join(mesh, borders, thinned, _fill(mesh, borders, thinned))

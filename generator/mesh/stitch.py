@@ -46,10 +46,13 @@ def edge_counts(pattern: Pattern, spacing: float) -> dict[EdgeRef, int]:
         for index in range(len(panel.edges) + len(panel.lines))
     }
     seam_of: dict[EdgeRef, int] = {}
+    layered = [seam for seam in pattern.seams if pattern.layers(seam)]
     for number, seam in enumerate(pattern.seams):
         for side in (seam.left, seam.right):
             if side not in counts:
                 raise MeshError(f"seam {number}: there is no edge {side.edge} of panel {side.panel}; correct the seam")
+            if seam in layered:
+                continue
             if side in seam_of:
                 raise MeshError(
                     f"panel {side.panel}, edge {side.edge} is in seams {seam_of[side]} and {number}: "
@@ -57,6 +60,11 @@ def edge_counts(pattern: Pattern, spacing: float) -> dict[EdgeRef, int]:
                 )
             seam_of[side] = number
         counts[seam.left] = counts[seam.right] = max(counts[seam.left], counts[seam.right])
+    layers = {side for seam in layered for side in (seam.left, seam.right)}
+    stack = [seam for seam in pattern.seams if {seam.left, seam.right} & layers]
+    while any(counts[seam.left] != counts[seam.right] for seam in stack):
+        for seam in stack:
+            counts[seam.left] = counts[seam.right] = max(counts[seam.left], counts[seam.right])
     return counts
 
 

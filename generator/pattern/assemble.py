@@ -122,8 +122,13 @@ def _walks(component: Component) -> list[tuple[list[_WalkedStroke], list[_Walked
 
 
 def _require_sewn_once(component: Component, walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]]) -> None:
+    """Raise ``PatternError`` for an edge in two joins.
+
+    Layers of a stack are sewn to each other within their panel, and the uppermost one to another panel.
+    """
     seen: set[tuple[str, int]] = set()
-    for walked in (walked for sides in walks for side in sides for walked in side):
+    across = (sides for sides in walks if len({walked.panel for side in sides for walked in side}) > 1)
+    for walked in (walked for sides in across for side in sides for walked in side):
         if (walked.panel, walked.stroke) in seen:
             edge = component.piece(walked.panel).strokes[walked.stroke].name
             raise PatternError(f"edge {edge} of panel {walked.panel} is sewn twice: name each edge in one seam only")
@@ -137,7 +142,10 @@ def _divisions(walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]])
         shares_left, shares_right = shared_breaks([s.length for s in left], [s.length for s in right])
         for walked, shares in (*zip(left, shares_left, strict=True), *zip(right, shares_right, strict=True)):
             in_drawing_order = [1 - share for share in reversed(shares)] if walked.backward else shares
-            divisions[walked.panel, walked.stroke] = in_drawing_order
+            if divisions.setdefault((walked.panel, walked.stroke), in_drawing_order) != in_drawing_order:
+                raise PatternError(
+                    f"panel {walked.panel}: a seam divides a stack of pleats: move the pleats or its ends"
+                )
     return divisions
 
 
@@ -198,6 +206,7 @@ def _with_lines(
         return len(points) - 1 if near is None else near
 
     lines = tuple(
-        InnerLine(number(stroke.start), number(stroke.end), stroke.curve, stroke.label, stroke.name) for stroke in inner
+        InnerLine(number(stroke.start), number(stroke.end), stroke.curve, stroke.label, stroke.angle, stroke.name)
+        for stroke in inner
     )
     return np.array(points), lines

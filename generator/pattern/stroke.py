@@ -58,6 +58,8 @@ class Stroke:
     """Name in the drawing; the parts of a divided stroke keep it."""
     label: EdgeRole | LineRole | str = ""
     """Role of the edge in a drape, or of a line; empty for none."""
+    angle: float = 0.0
+    """Rest angle of a fold [degrees], see ``InnerLine``."""
 
     @property
     def length(self) -> float:
@@ -211,7 +213,7 @@ class Stroke:
 
     def _drawn(self, start: Point, end: Point, curve: Curve) -> Self:
         """Same as ``replace(self, start=…, end=…, curve=…)``, three times as fast."""
-        return type(self)(start, end, curve, self.name, self.label)
+        return type(self)(start, end, curve, self.name, self.label, self.angle)
 
 
 def chain_from(start: Point, *strokes: Stroke) -> tuple[Stroke, ...]:

@@ -3,7 +3,7 @@
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from gcd_dataset.exports import pdf
 from gcd_dataset.exports.pdf_file import PAPERS, Page, bezier_pieces, paper_named, tile
 from gcd_dataset.records import Pattern, Sample
 from tests.exports.patterns import NAMES, exact_area, named, panel_of, quarter_circle, square, squares
+from tests.pleats import pleated_square
 
 CM = 2.54 / 72
 STEPS = np.linspace(0.0, 1.0, 65)[1:, None]
@@ -110,6 +111,18 @@ def test_curves_are_bezier_curves(tmp_path: Path) -> None:
     reader = read(quarter_circle(), tmp_path)
     line = sew_lines(reader.pages[1], reader)[0]
     assert line.curves == 3  # 30° each
+
+
+def test_folds_are_dashed_and_other_lines_are_not(tmp_path: Path) -> None:
+    pressed, (skirt, band) = pleated_square(), pleated_square().panels
+    flat = replace(skirt, lines=tuple(replace(line, angle=0.0) for line in skirt.lines))
+
+    def dashed(pattern: Pattern) -> int:
+        reader = read(pattern, tmp_path, paper="a0")
+        return sum(path.dashed for page in reader.pages for path in painted(page, reader))
+
+    sewn = pressed.seams[:2]  # layers of a stack are none without folds
+    assert dashed(pressed) == dashed(replace(pressed, panels=(flat, band), seams=sewn)) + 2
 
 
 @pytest.mark.long

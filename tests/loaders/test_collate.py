@@ -59,7 +59,7 @@ def test_seams_of_lines_keep_their_lines_in_a_batch(items: list[Any]) -> None:
     """Garments 1 and 3 have two lines each; their last stitch joins an edge to the second line."""
     lined = [dict(item) for item in items]
     for item in (lined[1], lined[3]):
-        item["lines"] = torch.zeros(2, 16)
+        item["lines"] = torch.zeros(2, 17)
         item["lines"][:, LineColumn.START_X] = torch.tensor([1.0, 2.0]) + len(item["edges"])
         item["stitches"] = item["stitches"].clone()
         item["stitches"][-1, 1] = len(item["edges"]) + 1

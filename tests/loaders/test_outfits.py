@@ -102,7 +102,7 @@ def test_lines_of_joined_garments_keep_their_seams() -> None:
     """The last stitch of the second garment joins an edge to its second line."""
     first = dict[str, Any](FakeGarments(1, fields=("edges", "stitches", "panels", "lines"))[0])
     second = {name: value.clone() for name, value in first.items()}
-    second["lines"] = torch.zeros(2, 16)
+    second["lines"] = torch.zeros(2, 17)
     second["lines"][:, LineColumn.START_X] = torch.tensor([1.0, 2.0])
     second["stitches"][-1, 1] = len(second["edges"]) + 1
     item = first | {f"g1_{name}": value for name, value in second.items()}

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
 from gcd_dataset.errors import ConfigError, ShardError
@@ -37,7 +39,9 @@ from gcd_dataset.shards import FIELDS, MEMBERS, decode_fields, decode_sample, en
 from gcd_dataset.shards.codec import MESH_CODINGS, patterns_of, spread
 from gcd_dataset.shards.layout import garments_layout, is_picture
 from gcd_dataset.shards.sections import HEAD, Coding, pack, unpack
-from gcd_dataset.tensors import decode_pattern
+from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
+from gcd_dataset.tensors import decode_pattern, encode_pattern
+from tests.pleats import pleated_square
 from tests.shards import stranger
 from tests.shards.folders import patterns, write_shard
 
@@ -75,12 +79,12 @@ def test_decoding_gives_the_record_back_to_the_stored_precision(sample: Sample) 
         assert [f.name for f in fields(stage) if not same(getattr(stage, f.name), getattr(again, f.name))] == []
     assert exact.box_mesh is not None and exact.drape is not None
     assert sample.box_mesh is not None and sample.drape is not None
-    for stored, given in (
+    for stored, sent in (
         (exact.box_mesh.vertices, sample.box_mesh.vertices),
         (exact.box_mesh.uv, sample.box_mesh.uv),
         (exact.drape.vertices, sample.drape.vertices),
     ):
-        assert np.abs(stored - given).max() < 1e-3  # cm
+        assert np.abs(stored - sent).max() < 1e-3  # cm
     for name in ("faces", "corners", "uv_vertex", "panel_id", "seams"):
         assert np.array_equal(getattr(exact.box_mesh, name), getattr(sample.box_mesh, name))
 
@@ -366,6 +370,29 @@ def test_closures_are_stored_where_a_seam_is_not_sewn(sample: Sample) -> None:
     assert decode_fields(sewn, ["closures"])["closures"].tolist() == [[0, 0, 1], [0, 0, 1]]
 
 
+half_degrees = st.integers(-360, 360).map(lambda number: 0.5 * number)
+
+
+@given(half_degrees, half_degrees, st.sampled_from(LineRole))
+def test_folds_and_the_seams_of_their_layers_survive_in_all_formats(one: float, two: float, role: LineRole) -> None:
+    """Lines, rest angles, stacked seams and closures: in a specification, as tensors, and in a shard."""
+    skirt, band = pleated_square().panels
+    folds = (replace(line, angle=angle) for line, angle in zip(skirt.lines, (one, two), strict=True))
+    skirt = replace(skirt, lines=(*folds, InnerLine(0, 5, role=role)))
+    first, *others = pleated_square().seams
+    seams = (replace(first, closure=Closure.ZIP, closed=(0.25, 1.0)), *others)
+    pleat = replace(pleated_square(), panels=(skirt, band), seams=seams)
+    *_, drawn = stages(fake_sample(1, 12))
+    for read in (
+        pattern_from_spec(json.loads(json.dumps(spec_from_pattern(pleat))), "pleat"),
+        decode_pattern(encode_pattern(pleat)),
+        decode_sample(encode_sample(replace(drawn, pattern=pleat))).pattern,
+    ):
+        assert read.panel("skirt").lines == skirt.lines
+        assert read.seams == seams
+        assert [read.layers(seam) for seam in seams] == [pleat.layers(seam) for seam in seams]
+
+
 def test_lines_are_stored_where_there_are_any(sample: Sample) -> None:
     first = sample.pattern.panels[0]
     lined = replace(first, lines=(InnerLine(0, 2, role=LineRole.PLACEMENT),))
@@ -375,7 +402,7 @@ def test_lines_are_stored_where_there_are_any(sample: Sample) -> None:
     assert decode_pattern(next(patterns_of(stored))).panels[0].lines == lined.lines
     plain = encode_sample(sample)
     assert "lines" not in unpack(plain["pattern.z"])
-    assert decode_fields(plain, ["lines"])["lines"].shape == (0, 16)
+    assert decode_fields(plain, ["lines"])["lines"].shape == (0, 17)
 
 
 def with_maps(sample: Sample, pressure: np.ndarray) -> Sample:

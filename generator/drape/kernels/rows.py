@@ -234,6 +234,42 @@ def weigh_rows(
 
 
 @wp.kernel
+def free_hinges(
+    folds: wp.array(dtype=wp.vec2i),
+    surface: ClothSurface,
+    # out
+    hinges: Hinges,
+):
+    """No bending back at folds; of several edges between two vertices the first is that of two layers of a panel."""
+    fold = folds[wp.tid()]
+    for at in range(surface.first_edge[fold[0]], surface.first_edge[fold[0] + 1]):
+        e = surface.vertex_edges[at]
+        if surface.edges[e][0] + surface.edges[e][1] == fold[0] + fold[1]:
+            hinges.scale[e] = 0.0
+            return
+
+
+@wp.kernel
+def press_folds(
+    apexes: wp.array(dtype=wp.vec2i),
+    springs: wp.array(dtype=wp.vec3),
+    # out
+    stiffness: wp.array(dtype=float),
+    rows: Rows,
+):
+    """Add the springs across folds, stiffness, rest and start length, to the rows of both ends; by one thread."""
+    for k in range(apexes.shape[0]):
+        for end in range(2):
+            i = apexes[k][end]
+            count = rows.count[i]
+            at = entry(rows, i, count[0])
+            rows.springs[at] = Spring(apexes[k][1 - end], springs[k][0], springs[k][1], 0.0)
+            rows.start_length[at] = springs[k][2]
+            rows.count[i] = wp.vec2i(count[0] + 1, count[1])
+            stiffness[i] += 2.0 * springs[k][0]
+
+
+@wp.kernel
 def sample_scales(
     rows: wp.array(dtype=int),
     of_vertices: int,

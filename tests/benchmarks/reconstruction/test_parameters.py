@@ -17,6 +17,7 @@ from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, Des
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
 from benchmarks.reconstruction.models.parameters import MOST_GROWTH, SMALL, Designs, ParameterNet, build
 from benchmarks.reconstruction.panel_targets import UNIT
+from benchmarks.reconstruction.propose import WEIGHTS, network
 from benchmarks.reconstruction.train import main
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import ConfigError, GcdError, PatternError
@@ -236,6 +237,14 @@ def test_missing_and_impossible_values_are_unknown_and_become_defaults() -> None
     assert known == {"meta.upper", "shirt.width"}
     assert decode_design(row).shirt.length == GarmentDesign().shirt.length
     assert decode_design(row).shirt.width == pytest.approx(1.2)
+
+
+def test_garments_drawn_on_request_have_no_rows() -> None:
+    """So new ones leave the networks' sizes, and the rows of kept weights, as they are."""
+    row = encode_design({"meta": {"bottom": "PleatedSkirt"}, "pleated-skirt": {"count": 4}})
+    assert np.isnan(row).all()
+    assert not any(path.startswith("pleated-skirt") for path in PATHS)
+    assert network(WEIGHTS).decoder.queries.shape[0] == len(PATHS) + len(MEASURES)
 
 
 DESIGNS: dict[str, dict[str, Any]] = {

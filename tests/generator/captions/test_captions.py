@@ -71,6 +71,7 @@ def wardrobe() -> list[Worn]:
     members = [("upper", upper) for upper in Upper] + [("bottom", bottom) for bottom in Bottom]
     rare = [{"meta": {**alone, part: member.value}} for part, member in members if not member.garment.weight]
     rare += [{"meta": {**alone, "upper": "Shirt"}, "front": {"closure": how.value}} for how in Closure if how != "sewn"]
+    rare += [{"meta": {**alone, "upper": "Shirt"}, "pocket": {"chest": "left"}}]
     levels, pants = ({"meta": {"upper": "none", "bottom": name}} for name in ("SkirtLevels", "Pants"))
     return [*sampled(120), *sampled(8, *rare), *sampled(20, levels, pants)]
 
@@ -391,6 +392,8 @@ NAMES: list[tuple[dict[str, Any], set[str]]] = [
         ({"meta": SHIRT, "front": {"closure": closure}}, {"top", tag})
         for closure, tag in (("open", "open front"), ("zip", "zip"), ("buttons", "buttons"))
     ),
+    ({"meta": SHIRT, "pocket": {"chest": "left"}}, {"top", "pockets"}),
+    ({"meta": {"bottom": "Pants"}, "pocket": {"back": "both"}}, {"trousers", "pockets"}),
 ]
 STYLES: list[tuple[dict[str, Any], set[str], set[str]]] = [
     *((values, named, set[str]()) for values, named in NAMES),
@@ -540,12 +543,14 @@ STATED = LENGTHS | {
     "square neck": "square|trapezoid", "curved neck": "U-shaped|curved|inward-curving|curved V|curved V-neckline",
     "turtleneck": "turtleneck|standing collar", "lapel": "lapels?", "hooded": "hood",
     "open front": "open front|open from neck to hem", "zip": "zip", "buttons": "buttons",
+    "pockets": "pockets?",
     "asymmetric": "asymmetric|one-shoulder|off-centre|off centre|high-low|longer behind",
 }  # fmt: skip
 """Tag to words of which the full caption has one."""
 MUTUAL = {
     "slit", "gathered skirt", "straight skirt", "godet skirt", "tiered skirt", "strapless", "lapel", "with waistband",
-    "hooded", "zip", "buttons", "asymmetric", "panelled skirt", "pencil skirt", "dress", "one-shoulder", "with cuffs",
+    "hooded", "zip", "buttons", "pockets", "asymmetric", "panelled skirt", "pencil skirt", "dress", "one-shoulder",
+    "with cuffs",
 }  # fmt: skip
 """Tags that a garment has if its full caption has one of the words."""
 

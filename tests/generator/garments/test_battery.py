@@ -85,7 +85,8 @@ def loops_are_closed_and_seen_from_outside(pattern: Pattern) -> None:
 
 
 def seams_sew_each_edge_once_right_sides_together(pattern: Pattern) -> None:
-    sewn = [ref for seam in pattern.seams for ref in (seam.left, seam.right)]
+    """Beside them the layers of pleats are sewn to each other."""
+    sewn = [ref for seam in pattern.seams if not pattern.layers(seam) for ref in (seam.left, seam.right)]
     assert len(sewn) == len(set(sewn))
     assert not any(seam.right_wrong for seam in pattern.seams)
 
@@ -150,7 +151,7 @@ def panels_are_placed_on_their_side_of_the_body(pattern: Pattern, woman: Measure
             assert z > 10.0 if side[1].startswith("f") else z < -10.0
         assert "left" not in panel.name or x > 0
         assert "right" not in panel.name or x < 0
-        if panel.label == "leg":
+        if panel.label == "leg" and not panel.lines:  # unfolded, a pleated panel is a fan
             edges = {edge.name: middle(pattern, EdgeRef(panel.name, i))[1] for i, edge in enumerate(panel.edges)}
             low, high = edges.get("bottom", edges.get("hem")), edges.get("top", -np.inf)
             assert low is not None
@@ -369,6 +370,9 @@ def drawn_length(pattern: Pattern, kind: Bottom) -> float:
     if kind in (Bottom.CIRCLE, Bottom.ASYMMETRIC_CIRCLE, Bottom.PANELS):
         panel = pattern.panel("skirt_panel_0" if kind is Bottom.PANELS else "skirt_back")
         return dist(middle_of_edge(panel, "top"), middle_of_edge(panel, "bottom"))
+    if kind is Bottom.PLEATED:
+        front = pattern.panel("skirt_front")
+        return front.lengths()[len(front.edges)]  # of a fold
     fronts = [panel for panel in pattern.panels if panel.name.startswith(("skirt_front", "pant_f_r"))]
     return sum(float(np.ptp(panel.vertices[:, 1])) for panel in fronts)
 

@@ -10,11 +10,15 @@ from hypothesis import strategies as st
 
 from gcd_dataset.curves import LINE, Curve, Quadratic, sample_curve
 from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start, coarsen
+from gcd_dataset.generator.mesh.box_mesh import LAYERS
 from gcd_dataset.generator.mesh.triangulate import flat_areas
-from gcd_dataset.meshedges import mesh_edges
+from gcd_dataset.meshedges import mesh_edges, on_line
 from gcd_dataset.records import BoxMesh, Closure, InnerLine, Panel, Pattern
 from tests.generator.mesh.shapes import panel, rectangle, seam, sewn
+from tests.pleats import pleated_square
 
 WIDTH, HEIGHT = 40.0, 30.0
 
@@ -124,3 +128,36 @@ def test_lines_that_meet_the_outline_are_named() -> None:
     ):
         with pytest.raises(MeshError, match=r"panel a: a line near .* meets the outline or another line: part them"):
             build_box_mesh(sewn(lined(points, lines)), spacing=2.0)
+
+
+def test_a_pleat_starts_folded_in_three_layers_in_order() -> None:
+    """The cloth keeps its shape, and is as wide as the band; the mountain fold lies outside of the valley fold."""
+    mesh = build_box_mesh(pleated_square(), spacing=2.0)
+    own = mesh.panel_id == mesh.panel_names.index("skirt")
+    rows = np.unique(mesh.corners[own])
+    rows = rows[mesh.uv[rows, 1] < 11.0]
+    placed = mesh.vertices[mesh.uv_vertex[rows]]
+    assert np.isclose(np.ptp(placed[:, 0]), 12.0)
+    x, depth = mesh.uv[rows, 0], placed[:, 2] - 10.0
+    assert np.allclose(depth[x == 8.0], 0.5)
+    assert np.allclose(depth[x == 12.0], -0.5)
+    upper, under, lower = (depth[(x > low) & (x < low + 4.0)] for low in (4.0, 8.0, 12.0))
+    assert upper.mean() > under.mean() > lower.mean()
+    edges = mesh.uv_vertex[mesh.folds[:, :2].astype(int)]
+    assert sorted(set(mesh.folds[:, 2].tolist())) == [-180.0, 180.0]
+    assert (edges[:, 0] != edges[:, 1]).all()
+
+
+@pytest.mark.parametrize("pleats", ["knife", "box", "inverted"])
+def test_a_folded_panel_reaches_from_side_to_side(pleats: str) -> None:
+    """Even if the line of a fold, extended, meets the panel again."""
+    section = {"pleats": pleats, "count": 2, "depth": 0.9, "hips": 1.2, "length": 0.1, "rise": 0.6}
+    design = design_from_dict({"meta": {"bottom": "PleatedSkirt"}, "pleated-skirt": section})
+    front = draw_garment(measure(build_body(neutral_shape())), design).panel("skirt_front")
+    mesh = build_box_mesh(sewn(front), spacing=4.0)
+    numbers = [number for number, edge in enumerate(front.edges) if edge.name in ("right", "left")]
+    sides = np.any([on_line(mesh.uv, front.edge_ends(number)) for number in numbers], axis=0)
+    x = mesh.vertices[:, 0]
+    on_sides = x[mesh.uv_vertex[sides]]
+    assert (x >= on_sides.min() - 1e-6).all() and (x <= on_sides.max() + 1e-6).all()
+    assert np.ptp(mesh.vertices[:, 2]) <= 1.5 * LAYERS
