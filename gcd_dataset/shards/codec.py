@@ -21,7 +21,7 @@ from dataclasses import fields as dataclass_fields
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Float, Float32, Int
 
 from gcd_dataset.errors import GcdError, ShardError
 from gcd_dataset.jsonfile import found
@@ -100,7 +100,7 @@ from gcd_dataset.shards.meta import (
 )
 from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
-from gcd_dataset.tensors import COLUMNS, NO_LINES, PanelColumn, PatternTensor, encode_pattern, sewn_rows
+from gcd_dataset.tensors import COLUMNS, NO_LINES, LineColumn, PanelColumn, PatternTensor, encode_pattern, sewn_rows
 
 if TYPE_CHECKING:
     from PIL import ImageFile
@@ -260,7 +260,7 @@ def _arrays(garment: WornGarment, tensor: PatternTensor, **body: np.ndarray) -> 
         "edges": tensor.edges,
         "stitches": np.asarray(tensor.stitches, np.int32),
         **({} if all(seam.is_plain for seam in garment.pattern.seams) else {"closures": tensor.closures}),
-        **({"lines": tensor.lines} if len(tensor.lines) else {}),
+        **_line_arrays(tensor.lines),
         **body,
     }
     vertices = np.zeros((0, 3), np.float32) if drape is None else drape.vertices
@@ -571,16 +571,40 @@ def _decoded(members: Mapping[str, Bytes], fields: Sequence[str]) -> dict[str, A
     return {field: values[field] for field in fields}
 
 
+def _line_arrays(lines: Float[np.ndarray, "n w"]) -> dict[str, np.ndarray]:
+    """The sections of the lines: rest angles are one of their own, which earlier versions skip."""
+    angles = lines[:, LineColumn.ANGLE]
+    return {
+        **({"lines": lines[:, : LineColumn.ANGLE]} if len(lines) else {}),
+        **({"angles": angles} if angles.any() else {}),
+    }
+
+
+def _with_angles(arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    """The arrays with the column that ``_line_arrays`` took off the lines; columns of other files have it still."""
+    lines, angles = arrays["lines"], arrays.get("angles")
+    if lines.shape[1:] != (LineColumn.ANGLE,):
+        return arrays
+    angles = np.zeros(len(lines)) if angles is None else angles
+    if angles.shape != (len(lines),):
+        raise ShardError(f"section angles: shape {angles.shape} for {len(lines)} lines")
+    return {**arrays, "lines": np.column_stack([lines, angles])}
+
+
 def _decoded_garment(members: Mapping[str, Bytes], fields: Sequence[str]) -> dict[str, Any]:
     """The fields of one garment of an outfit, by their names in a single garment."""
     arrays: dict[str, np.ndarray] = {}
     sections = {section for field in fields for section in SECTIONS.get(field, ())}
+    if "lines" in sections:
+        sections.add("angles")
     stored = {field: member_of(field) for field in fields if field in SECTIONS}
     if MAPS in stored.values() and "verts.z" in members:
         stored, sections = {**stored, "verts": "verts.z"}, {*sections, "verts"}
     for member in members_of(stored, stored):
         with _reading(member):
             arrays |= unpack(members[member], sections)
+            if member == "pattern.z" and "lines" in arrays:
+                arrays = dict(_with_angles(arrays))
     if "verts" in arrays:
         with _reading(MAPS):
             _require_rows({name: arrays[name] for name in ARRAYS[MAPS] if name in arrays}, arrays["verts"])

@@ -57,7 +57,8 @@ def arrays(members: dict[str, bytes]) -> dict[str, np.ndarray]:
     pattern, mesh = sections(members["pattern.z"]), sections(members["mesh.z"])
     found = {name: pattern[name] for name in ("panels", "edges", "stitches", "body")}
     found["closures"] = pattern.get("closures", np.tile([0.0, 0.0, 1.0], (len(pattern["stitches"]), 1)))
-    found["lines"] = pattern.get("lines", np.zeros((0, 17)))
+    lines = pattern.get("lines", np.zeros((0, 16)))
+    found["lines"] = np.column_stack([lines, pattern.get("angles", np.zeros(len(lines)))])
     found |= {name: mesh[name] for name in ("corners", "uv", "uv_vertex", "labels", "seams")}
     found["faces"] = mesh["faces"] if "faces" in mesh else mesh["uv_vertex"][mesh["corners"]]
     panel_id = np.repeat(np.arange(len(mesh["faces_of"])), mesh["faces_of"])
