@@ -116,6 +116,8 @@ def folds_of(job: DrapeJob) -> Folds:
     times the bending rigidity of a centimetre of cloth: k = B L / (h₁ h₂), for faces of heights h over an edge L.
     """
     mesh = job.box_mesh
+    if not len(mesh.folds):
+        return Folds(np.zeros((0, 2), int), np.zeros((0, 2), int), np.zeros((0, 3)))
     rows, angles = mesh.folds[:, :2].astype(int), np.radians(mesh.folds[:, 2])
     number = {frozenset(pair): k for k, pair in enumerate(rows.tolist())}
     beside: dict[int, list[int]] = {}
