@@ -301,7 +301,7 @@ def test_drape_moves_the_body_through_a_motion(
         (["--motion", str(bvh)], "walk.bvh: no HIERARCHY and MOTION"),
         (["--motion", "walk", "--fps", "0.5"], "0.5 poses a second"),
         (["--motion", "walk", "--pose", "t-pose"], "leave --pose out"),
-        (["--motion", "walk", "--maps"], "leave them out with --motion"),
+        (["--motion", "walk", "--maps"], "leave out --motion"),
         (["--fps", "25"], "give --motion"),
     ):
         assert main([*options, *wrong]) != 0
