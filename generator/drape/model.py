@@ -37,7 +37,7 @@ PULLING = 12000.0  # cm/s², acceleration of crossing cloth toward its own body 
 SAMPLE = 8  # medians are taken over every eighth vertex or edge
 COARSE_GAP = 2.5  # layer distance of coarse cloth, as a multiple of that of fine cloth
 TUCK = 0.4  # cm, largest distance of tucked cloth from the skin, besides the gap of all cloth
-SLEEVE = 2.0  # cm, the same of sleeves under sleeves
+SLEEVE = 2.0  # cm, largest distance of sleeves under sleeves from the skin
 WORN_GAP = 0.125  # of the edge length: a chord as long as the radius of a fold cuts so deep into it, 1 - cos(30°)
 INERTIA_GAIN = 4.0  # inertia over mass at the median vertex: added inertia allows a longer time step
 
@@ -257,7 +257,7 @@ def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float, sewing_time: f
     world.thickness = gap_factor * max(job.fabric.thickness, config.layer_gap)
     world.body_gap = config.body_gap
     world.tucked_below, world.tuck = job.tucked_below, config.body_gap + TUCK
-    world.sleeve = config.body_gap + SLEEVE if job.under_sleeves else np.inf
+    world.sleeve = SLEEVE if job.under_sleeves else np.inf
     world.margin = max(config.contact_margin, 1.5 * world.thickness)
     world.travel = 0.4 * (world.margin - world.thickness)
     return world

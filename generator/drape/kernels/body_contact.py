@@ -205,7 +205,7 @@ def find_skin(i: int, p: wp.vec3, world: World, cloth: ClothArrays) -> wp.vec4:
     if cloth.own_part[i] != LEFT_ARM and cloth.own_part[i] != RIGHT_ARM:
         most = wp.where(p[1] < world.tucked_below, world.tuck, wp.inf)
     if near[3] > 0.5 * (world.body_gap + most):
-        return tuck_in(i, p, near, most, cloth)
+        return tuck_in(i, p, near, most, world, cloth)
     if near[3] >= world.clear:
         return near
     voxel = voxel_at(world, p)
@@ -217,12 +217,12 @@ def find_skin(i: int, p: wp.vec3, world: World, cloth: ClothArrays) -> wp.vec4:
 
 
 @wp.func
-def tuck_in(i: int, p: wp.vec3, near: wp.vec4, most: float, cloth: ClothArrays) -> wp.vec4:
-    """A plane that keeps a vertex within a distance of the skin: normal, and distance of ``p`` [cm]."""
+def tuck_in(i: int, p: wp.vec3, near: wp.vec4, most: float, world: World, cloth: ClothArrays) -> wp.vec4:
+    """A plane that keeps a vertex within ``most`` of the skin: normal, and distance of ``p`` [cm]."""
     inward = -wp.vec3(near[0], near[1], near[2])
     if near[3] > BEYOND:
         inward = toward_part(i, cloth, p)
-    return wp.vec4(inward[0], inward[1], inward[2], most - near[3])
+    return wp.vec4(inward[0], inward[1], inward[2], world.body_gap + most - near[3])
 
 
 @wp.func
