@@ -110,12 +110,12 @@ def test_sleeves_under_sleeves_lie_on_the_arms(shirt_and_trousers: tuple[DrapeJo
     """Alone, a sleeve that is cut for a lower arm stands up in a fold, which a sleeve over it would have to pierce."""
     shirt, _ = shirt_and_trousers
     on_arm = WornCloth.of(shirt.box_mesh, shirt.box_mesh.vertices).parts == BodyPart.LEFT_ARM.value
-    alone, pressed = drape_batch([shirt, replace(shirt, under_sleeves=True)], device="cpu")
+    drapes = drape_batch([shirt, replace(shirt, under_sleeves=True)], device="cpu")
     skin = cKDTree(shirt.body.vertices)
-    farthest = [skin.query(drape.vertices[on_arm])[0].max() for drape in (alone, pressed)]
-    assert farthest[0] > 6.0
-    assert farthest[1] < 4.0
-    assert pressed.outcome is Outcome.SETTLED
+    alone, pressed = (np.quantile(skin.query(drape.vertices[on_arm])[0], 0.9) for drape in drapes)
+    assert alone > 4.5
+    assert pressed < 3.5
+    assert {drape.outcome for drape in drapes} == {Outcome.SETTLED}
 
 
 def test_a_tucked_shirt_lies_inside_the_trousers(shirt_and_trousers: tuple[DrapeJob, DrapeJob]) -> None:
@@ -130,6 +130,16 @@ def test_a_tucked_shirt_lies_inside_the_trousers(shirt_and_trousers: tuple[Drape
         layers += layers_of(pair, shirt.body, device="cpu")
     assert layers[0].wrong_order > 0.5
     assert (layers[1].crossings, layers[1].wrong_order) == (0, 0.0)
+
+
+def test_tucked_cloth_has_room_between_skin_and_waistband() -> None:
+    """A tucked ring comes to rest ``ROOM`` off the skin and its gap, as wide as it is taken in, not pressed on it."""
+    ring = on_trunk(11.0)
+    labelled = replace(ring.box_mesh, panel_labels=(PanelRole.BODY,))
+    config = DrapeConfig(coarse_start=False)
+    [tucked] = drape_batch([replace(ring, box_mesh=labelled, tucked_below=100.0)], config, device="cpu")
+    off = np.hypot(*tucked.vertices[:, [0, 2]].T) - 10.0
+    assert np.median(off) == pytest.approx(config.body_gap + ROOM, abs=0.05)
 
 
 def test_tucked_cloth_is_as_wide_as_the_skin() -> None:
