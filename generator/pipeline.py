@@ -134,7 +134,7 @@ class DressedWearer:
     unsettled: str = ""
     """Why the garment under this one has no drape to put it on."""
     pose: Pose | None = None
-    """The pose in which the garment is draped; ``None``: that of ``body``."""
+    """The pose to which ``body`` moves under the garment; ``None``: it stays."""
 
     @property
     def obstacle(self) -> FitLabel | None:

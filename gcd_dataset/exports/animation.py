@@ -13,7 +13,7 @@ Shapes = Float[np.ndarray, "t v 3"]
 
 
 def animated(glb: bytes, shapes: Mapping[str, tuple[Shapes, Shapes]], fps: float) -> bytes:
-    """A GLB whose meshes move: ``shapes`` has positions [m] and normals of a mesh in each frame, by name.
+    """A GLB whose meshes move; ``shapes``: positions [m] and normals of each mesh in all frames, by the mesh's name.
 
     The first frame is the mesh as it is; each other one is a morph target, of full weight at its time.
     """

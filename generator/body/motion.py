@@ -62,9 +62,10 @@ def read_motion(path: str | Path, *, fps: float = 30.0) -> list[Pose]:
 
     Joints have CMU's names (``Hips``, ``LeftUpLeg``, …), or those of ``BONES``; y is up, and the rest pose stands
     facing z, straight limbs in any direction. The motion starts facing z. Units do not matter, since the body
-    keeps its own lengths and stands on the floor at its place: the translation of the root is not read. Neither is a
-    first frame whose root alone has no rotation: in CMU's files it is a T-pose. Raises ``BodyError`` for a damaged
-    file, unknown or missing joints, numbers that are none, and poses outside ``LIMITS``; it names the frame, from 1.
+    keeps its own lengths and stands on the floor at its place: the translation of the root is not read. CMU's files
+    begin with a T-pose: the first frame is left out if its root has no rotation and that of the last frame has one.
+    Raises ``BodyError`` for a damaged file, unknown or missing joints, numbers that are none, and poses outside
+    ``LIMITS``; it names the frame, from 1.
     """
     _require_rate(fps)
     text = read_whole(path, "BVH file", limit=LARGEST_BVH, error=BodyError).decode("utf-8", "replace")

@@ -206,6 +206,7 @@ def _product(a: Float[np.ndarray, "4 n"], b: Float[np.ndarray, "4 n"]) -> Float[
 
 
 def _turned(vectors: Float[np.ndarray, "3 n"], rotations: Float[np.ndarray, "4 n"]) -> Float[np.ndarray, "3 n"]:
+    """Each vector, turned by its unit quaternion (x, y, z, w)."""
     axis, w = rotations[:3], rotations[3]
     return vectors + 2.0 * _cross(axis, _cross(axis, vectors) + w * vectors)
 

@@ -228,9 +228,8 @@ def _folded(panels: _MeshedPanels, pattern: Pattern) -> Float[np.ndarray, "c 3"]
         heights = 0.5 * LAYERS * np.sign([line.angle for line in creases])
         for row, turn in turns.items():
             points, bounds = np.unique(faces[layer == row]), [k for _, k in beside[row]]
-            along = (ends[bounds, 1] - ends[bounds, 0]) / np.linalg.norm(ends[bounds, 1] - ends[bounds, 0], axis=1)[
-                :, None
-            ]
+            along = ends[bounds, 1] - ends[bounds, 0]
+            along /= np.linalg.norm(along, axis=1)[:, None]
             off = panels.uv[points][:, None] - ends[bounds, 0]
             weights = 1.0 / np.maximum(np.abs(off[..., 0] * along[:, 1] - off[..., 1] * along[:, 0]), TOUCH)
             height = (weights * heights[bounds]).sum(axis=1) / weights.sum(axis=1)

@@ -60,7 +60,7 @@ def test_a_table_carries_its_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_equal_bodies_move_on_their_own() -> None:
-    """Each world of a batch is as it is alone, with its body moved, moved elsewhere or at rest."""
+    """Equal bodies move two ways in a batch, and a third stays: each garment is as it is alone."""
     job = on_a_ball(7)
     motions = [Motion.of([job.body, shifted(job.body, np.array(by))]) for by in ([6.0, 0.0, 0.0], [0.0, 5.0, -3.0])]
 
