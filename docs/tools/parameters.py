@@ -36,7 +36,6 @@ BASES: Mapping[str, Sequence[Mapping[str, Any]]] = {
 COLUMNS, ROWS = 11, 12
 TILE = 84, 112  # pixels, with the texts
 LEAST = 16.0  # cm, least size of what a tile shows
-GREY = (0.93, 0.93, 0.92)  # of panels that do not change
 
 Drawing = dict[tuple[bool, str], list[Float[np.ndarray, "n 2"]]]
 """Panel (whether it is in front, name) to its outline, then edges without a seam and lines inside it [cm]."""
@@ -63,12 +62,13 @@ def draw_parameters(axes: Axes, section: str) -> None:
 def _draw(axes: Axes, drawing: Drawing, others: Sequence[Drawing]) -> None:
     """Draw the garment from the side where the drawings differ, cut off around the panels that do, in colour."""
     changed = sorted(_changed(others))
-    front = changed[-1][0]
+    shown = [panel[0] for each in others for panel in changed if panel in each]
+    front = max((True, False), key=shown.count)
     colours = {panel: PALETTE[number % len(PALETTE)] for number, panel in enumerate(changed) if panel[0] == front}
     for panel in sorted(drawing, key=colours.__contains__):
         if panel[0] == front:
             outline, *lines = drawing[panel]
-            axes.fill(*outline.T, facecolor=colours.get(panel, GREY), edgecolor="k", linewidth=0.4)
+            axes.fill(*outline.T, facecolor=colours.get(panel, "0.93"), edgecolor="k", linewidth=0.4)
             for line in lines:
                 axes.plot(*line.T, "k", linewidth=1.2)
     points = np.concatenate([each[panel][0] for each in others for panel in colours if panel in each])
@@ -121,10 +121,9 @@ def _drawn(design: GarmentDesign) -> tuple[Drawing, bool]:
         lines = [piece.outline, *(piece.edge_points(index) for index in marked)]
         placed = [placement.apply(line) for line in lines]
         middle, (x, y, z) = lines[0].mean(axis=0), placed[0].mean(axis=0)
-        is_edge_on = abs(placement.matrix[2, 2]) < 0.7  # and turned towards us
-        drawing[bool(is_edge_on or z >= 0), panel.name] = [
-            line - middle + (x, y) if is_edge_on else spots[:, :2] for line, spots in zip(lines, placed, strict=True)
-        ]
+        is_edge_on = abs(placement.matrix[2, 2]) < 0.7  # turned towards the viewer, on both sides
+        flat = [a - middle + (x, y) if is_edge_on else b[:, :2] for a, b in zip(lines, placed, strict=True)]
+        drawing |= {(side, panel.name): flat for side in (True, False) if is_edge_on or side == (z >= 0)}
     return drawing, not check_design(garment)
 
 

@@ -291,8 +291,8 @@ def rst_rows(docstring: str) -> list[tuple[str, ...]]:
     return rows
 
 
-def _summary(function: Callable[..., Any]) -> str:
-    return " ".join((inspect.getdoc(function) or "").split("\n\n")[0].split()).replace("``", "`")
+def _summary(owner: object) -> str:
+    return " ".join((inspect.getdoc(owner) or "").split("\n\n")[0].split()).replace("``", "`")
 
 
 def _ticked(row: Sequence[str]) -> tuple[str, ...]:

@@ -66,7 +66,7 @@ def test_help_names_every_parameter_with_its_meaning() -> None:
     documented = {leaf.path: text for leaf, text in meanings(space)}
     assert list(documented) == [leaf.path for leaf in leaves(space, added=True)]
     assert [path for path, text in documented.items() if not text.endswith(".")] == []
-    shown = " ".join(pydoc.render_doc(PantsDesign, renderer=pydoc.plaintext).replace("|", "").split())
+    shown = " ".join(pydoc.plain(pydoc.render_doc(PantsDesign)).replace("|", "").split())
     for path, text in documented.items():
         if path.startswith("pants."):
             assert f"{path.removeprefix('pants.')}: " in shown
