@@ -17,6 +17,8 @@ from PIL import Image
 import gcd_dataset
 from docs.tools import figures, marked, tables
 from docs.tools.figures import FIGURES, StaleError, read_report
+from gcd_dataset.generator.garments import GarmentDesign
+from gcd_dataset.generator.garments.space import DesignSpace
 from gcd_dataset.generator.recipes import recipe_names
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardWriter, encode_sample
@@ -126,7 +128,7 @@ def test_every_field_has_a_unit_and_arrays_an_axis() -> None:
 
 def test_pictures_are_small_and_shown() -> None:
     pages = "".join(page.read_text() for page in PAGES)
-    pictures = sorted((DOCS / "images").iterdir())
+    pictures = sorted((DOCS / "images").rglob("*.jpg"))
     assert len(pictures) >= 8
     for picture in pictures:
         content = picture.read_bytes()
@@ -137,7 +139,9 @@ def test_pictures_are_small_and_shown() -> None:
 
 def test_the_script_draws_the_pictures_that_are_there() -> None:
     names = re.findall(r'^    "(\w+)": \1,$', (DOCS / "tools" / "pictures.py").read_text(), re.MULTILINE)
-    assert {f"{name}.jpg" for name in names} == {path.name for path in (DOCS / "images").iterdir()}
+    assert {f"{name}.jpg" for name in names} == {path.name for path in (DOCS / "images").glob("*.jpg")}
+    sections = {entry.key for entry in DesignSpace.declared(GarmentDesign).entries}
+    assert sections == {path.stem for path in (DOCS / "images" / "parameters").iterdir()}
 
 
 @pytest.mark.parametrize("module", [figures, marked, tables], ids=lambda module: str(module.__name__))

@@ -1,6 +1,6 @@
-"""Draws the pictures of the documentation's concept pages, from one sample.
+"""Draws the pictures of the documentation: of the concept pages, from one sample, and of the design parameters.
 
-python -m docs.tools.pictures            # all, on the CPU in about two minutes
+python -m docs.tools.pictures            # all, on the CPU in about four minutes
 python -m docs.tools.pictures drape      # one of them
 """
 
@@ -8,7 +8,7 @@ import argparse
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from PIL import Image
 
+from docs.tools import parameters as ends
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator import (
     DrapeConfig,
@@ -60,7 +61,7 @@ FOLDER = Path(__file__).resolve().parents[1] / "images"
 SEED, SHOWN = 3, 0
 """Seed and index of the garment on all concept pages."""
 SPACING = 1.5  # cm
-QUALITY = 86  # of the JPEG files
+QUALITY, SMALL = 86, 75  # of the JPEG files; of the many of the parameters
 TILE = 400  # pixels
 NARROW = 0.8  # width of a figure in the A-pose over its height, with room at both sides
 INK, TAPE = "#282828", "#c0392b"
@@ -181,6 +182,13 @@ def sample() -> Picture:
     return np.concatenate([sheet, bars])
 
 
+def parameters(section: str) -> Picture:
+    """The parameters of a section of the design: patterns at both ends, or with each option."""
+    width, height = ends.TILE
+    picture = _plotted(lambda axes: ends.draw_parameters(axes, section), width * ends.COLUMNS, height * ends.ROWS)
+    return picture[: np.flatnonzero((picture < 255).any(axis=(1, 2)))[-1] + 6]
+
+
 PICTURES: Mapping[str, Callable[[], Picture]] = {
     "steps": steps,
     "body": body,
@@ -190,6 +198,7 @@ PICTURES: Mapping[str, Callable[[], Picture]] = {
     "box_mesh": box_mesh,
     "drape": drape,
     "sample": sample,
+    **{f"parameters/{entry.key}": partial(parameters, entry.key) for entry in ends.SPACE.entries},
 }
 
 
@@ -357,10 +366,11 @@ def _draw_sizes(axes: Axes, sizes: Mapping[str, int]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", choices=[*PICTURES, []], help="pictures to draw (default: all)")
-    FOLDER.mkdir(exist_ok=True)
+    (FOLDER / "parameters").mkdir(parents=True, exist_ok=True)
     for name in parser.parse_args().names or PICTURES:
         file = io.BytesIO()
-        Image.fromarray(PICTURES[name]()).save(file, format="JPEG", quality=QUALITY, optimize=True)
+        quality = SMALL if "/" in name else QUALITY
+        Image.fromarray(PICTURES[name]()).save(file, format="JPEG", quality=quality, optimize=True)
         write_whole(FOLDER / f"{name}.jpg", file.getvalue())
         print(f"{name}.jpg: {len(file.getvalue()) / 1024:.0f} KiB")
 

@@ -18,9 +18,11 @@ from docs.tools.figures import figures_table, report_list, short_figures
 from docs.tools.marked import marked_names, with_parts
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.drape import FABRICS
+from gcd_dataset.generator.garments import GarmentDesign
 from gcd_dataset.generator.garments.mends import Mend
+from gcd_dataset.generator.garments.parameter import Choice, Integer, plain
 from gcd_dataset.generator.garments.rules import RULES
-from gcd_dataset.generator.garments.space import field_docs
+from gcd_dataset.generator.garments.space import DesignSpace, Leaf, field_docs, meanings
 from gcd_dataset.hub.card import FIELD_DESCRIPTIONS
 from gcd_dataset.loaders.fake import FakeGarments, fake_sample
 from gcd_dataset.loaders.fields import ADDED
@@ -42,6 +44,7 @@ DOCUMENTS = (
     "docs/guides/own-fabric.md",
     "docs/limits.md",
     "docs/mends.md",
+    "docs/parameters.md",
 )
 """Documents with generated parts."""
 
@@ -181,6 +184,30 @@ def rules_table() -> str:
     return table(("rule", "rejects"), [(f"`{rule.__name__}`", _summary(rule)) for rule in RULES])
 
 
+def parameters_table() -> str:
+    """The design parameters, a table and a picture for each section."""
+    space, parts = DesignSpace.declared(GarmentDesign), []
+    documented = list(meanings(space))
+    for section in space.entries:
+        rows = [_parameter(leaf, text) for leaf, text in documented if leaf.path.startswith(f"{section.key}.")]
+        picture = f"![Patterns at both ends of `{section.key}`](images/parameters/{section.key}.jpg){{ .wide }}"
+        head = ("parameter", "range", "unit", "default", "probability", "meaning")
+        parts += [f"## {section.key}", _summary(section.space.kind), picture, table(head, rows)]
+    return "\n\n".join(parts)
+
+
+def _parameter(leaf: Leaf, meaning: str) -> tuple[str, ...]:
+    """A row; the unit is the docstring's, 1 for other numbers. An option that is never sampled has a star."""
+    space, named = leaf.space, re.search(r" \[(\w+)\]", meaning)
+    default, keep = plain(space.default), "" if space.keep is None else f"{space.keep:g}"
+    unit = named[1] if named else "" if isinstance(default, str | bool | None) else "1"
+    if isinstance(space, Choice):
+        values = ", ".join(f"{value}" if value in space.range else f"{value}\\*" for value in map(plain, space.options))
+    else:
+        values = "{:g} to {:g}".format(*space.range) + ", whole" * isinstance(space, Integer)
+    return f"`{leaf.path.partition('.')[2]}`", values, unit, f"{default}", keep, meaning.replace(f" [{unit}]", "")
+
+
 def fabrics_table() -> str:
     """The fabrics with their figures."""
     rows = []
@@ -212,6 +239,7 @@ TABLES: Mapping[str, Callable[[], str]] = {
     "mends": mends_table,
     "rules": rules_table,
     "fabrics": fabrics_table,
+    "parameters": parameters_table,
     "figures": figures_table,
     "short-figures": short_figures,
     "reports": report_list,
@@ -263,8 +291,8 @@ def rst_rows(docstring: str) -> list[tuple[str, ...]]:
     return rows
 
 
-def _summary(function: Callable[..., Any]) -> str:
-    return " ".join((inspect.getdoc(function) or "").split("\n\n")[0].split()).replace("``", "`")
+def _summary(owner: object) -> str:
+    return " ".join((inspect.getdoc(owner) or "").split("\n\n")[0].split()).replace("``", "`")
 
 
 def _ticked(row: Sequence[str]) -> tuple[str, ...]:

@@ -10,7 +10,6 @@ import io
 import json
 import os
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -54,17 +53,17 @@ class Tools:
         """The design parameters of a garment, each with its range, default and meaning, and a picture of the defaults.
 
         upper, bottom: kinds of garment, at least one of them; call without them for the list of kinds. Numbers whose
-        text names no unit are fractions or counts; left.NAME means what NAME means, for the left half.
+        text names no unit are fractions or counts.
         """
         from gcd_dataset.generator.body import named_body
         from gcd_dataset.generator.garments import DrawnGarment, GarmentDesign, design_from_dict
-        from gcd_dataset.generator.garments.space import DesignSpace
+        from gcd_dataset.generator.garments.space import DesignSpace, parameter_lines
 
         design = design_from_dict({"meta": {"upper": upper, "bottom": bottom}})
         used = {"front"} if design.halves() else set()  # sewn fronts leave it unused
         used |= {name.replace("_", "-") for name in design.sections_used()}
         space = DesignSpace.declared(GarmentDesign)
-        lines = [line for line in _parameter_lines(space) if line.partition(".")[0] in used]
+        lines = [line for line in parameter_lines(space) if line.partition(".")[0] in used]
         if upper is None and bottom is None:
             return Answer("\n".join([*lines, "give upper or bottom for the parameters of a garment"]))
         drawn = DrawnGarment.of(named_body("neutral")[1], design, name="defaults")
@@ -216,21 +215,6 @@ class Tools:
         from gcd_dataset.generator.body.by_name import shape_by_name
 
         return str(self._inside(name)) if shape_by_name(name, legs_apart=False) is None else name
-
-
-def _parameter_lines(space: Any, prefix: str = "") -> Iterator[str]:
-    """A line for each parameter of a ``DesignSpace``."""
-    from gcd_dataset.generator.garments.parameter import plain
-    from gcd_dataset.generator.garments.space import DesignSpace, field_docs
-
-    owners = reversed(space.kind.__mro__[:-1])
-    docs = {name: text for owner in owners for name, text in field_docs(owner).items()}
-    for entry in space.entries:
-        if isinstance(entry.space, DesignSpace):
-            yield from _parameter_lines(entry.space, f"{prefix}{entry.key}.")
-        else:
-            meaning = docs.get(entry.name, "")
-            yield f"{prefix}{entry.key}: {entry.space}; default {plain(entry.space.default)}. {meaning}".rstrip()
 
 
 def _gcd(*words: str) -> str:

@@ -184,6 +184,7 @@ class PonchoDesign(Design):
     """A poncho."""
 
     shape: PonchoShape = choice(PonchoShape.RECTANGLE, *PonchoShape)
+    """Shape of the cloth, front and back together."""
     length: float = real(1.2, 0.8, 2.0)
     """Length from the nape to the hem, as a fraction of nape to waist."""
     width: float = real(0.65, 0.45, 0.9)

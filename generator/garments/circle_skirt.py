@@ -31,6 +31,7 @@ class PanelSkirtDesign(Design):
     """The division of a flared skirt into panels."""
 
     n_panels: int = integer(4, 4, 15)
+    """Number of equal panels round the body."""
     panel_curve: float = choice(0, -0.35, -0.25, -0.15, 0, 0.15, 0.25, 0.35, 0.45)
     """Bulge of each panel's hem: sagitta over chord, positive outwards."""
 
@@ -40,6 +41,7 @@ class HemCutDesign(Design):
     """A triangular cut in the hem."""
 
     add: bool = flag(False, keep=0.6)
+    """Whether the hem of a circle skirt has the cut."""
     depth: float = real(0.5, 0.05, 0.95, keep=0.6)
     """Depth of the cut, as a fraction of the skirt's length."""
     width: float = real(0.1, 0.05, 0.4)

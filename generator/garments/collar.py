@@ -93,6 +93,7 @@ class CollarDesign(Design):
     """A collar, or none."""
 
     style: Collar | None = choice(None, *Collar, None, keep=0.6)
+    """Kind of collar, or none; the neckline is then a plain edge."""
     depth: int = integer(7, 2, 8)
     """Height of a turtleneck or lapel [cm]."""
     lapel_standing: bool = flag(False)

@@ -45,16 +45,17 @@ class SleeveCuffDesign(Design):
     """The cuff of a sleeve, or none."""
 
     type: Cuff | None = choice(None, *Cuff, None)
+    """Kind of cuff, or none: a band, a flared skirt, or a band with a skirt below."""
     top_ruffle: float = real(1.0, 1.0, 3.0)
     """Gathers at the limb's end: ratio of the sleeve's or leg's girth to the cuff's."""
     cuff_len: float = real(0.1, 0.05, 0.9, keep=0.7)
     """Length, as a fraction of the arm."""
     skirt_fraction: float = real(0.5, 0.1, 0.9, keep=0.5)
-    """The skirt's share of a band with a skirt."""
+    """The skirt's share of the length of a band with a skirt."""
     skirt_flare: float = real(1.2, 1.0, 2.0)
     """Hem of the skirt, as a fraction of its top without gathers."""
     skirt_ruffle: float = real(1.0, 1.0, 1.5, keep=0.3)
-    """Gathers at the top of the skirt."""
+    """Gathers at the top of the skirt: ratio of the top to the edge that it is sewn to."""
 
 
 @dataclass(frozen=True)

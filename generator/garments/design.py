@@ -52,8 +52,11 @@ class MetaDesign(Design):
     """The parts of the garment: upper, waistband, bottom."""
 
     upper: Upper | None = one_of(Upper, keep=0.3)
+    """The garment from the shoulders down, or none."""
     wb: Waistband | None = choice(None, *Waistband, None, keep=0.5)
+    """The waistband at the top of the bottom or at the hem of the upper, or none."""
     bottom: Bottom | None = one_of(Bottom, keep=0.3)
+    """The trousers or skirt, or none."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ class LeftDesign(Design):
     """The left half of the upper body, if it is not the mirror image of the right one."""
 
     enable_asym: bool = flag(False, keep=0.8)
+    """Whether the left half is drawn from this section; such a shirt has no collar."""
     shirt: LeftShirtDesign = part(LeftShirtDesign)
     collar: LeftNecklineDesign = part(LeftNecklineDesign)
     sleeve: LeftSleeveDesign = part(LeftSleeveDesign)

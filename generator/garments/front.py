@@ -30,6 +30,7 @@ class FrontDesign(Design):
     """The centre front of a shirt; sampling leaves it sewn unless an overlay names a closure."""
 
     closure: Closure = choice(Closure.SEWN, *Closure, weights=(1, 0, 0, 0))
+    """How the two fronts are joined: sewn, open, or by zip or buttons."""
     open_top: float = real(0.0, 0.0, 0.5, keep=0.6)
     """Open part below the neckline of a front with zip or buttons, as a fraction of the front edge; opens a collar."""
     open_hem: float = real(0.0, 0.0, 0.4, keep=0.8)

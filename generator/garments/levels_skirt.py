@@ -61,7 +61,9 @@ class LevelsSkirtDesign(Design):
     """A base and the levels under it, each with the parameters of its own section."""
 
     base: LevelsBase = choice(LevelsBase.PENCIL, *LevelsBase)
+    """The skirt at the top, with the parameters of its own section."""
     level: Level = choice(Level.GATHERED, *Level)
+    """The skirt of each level, with the parameters of its own section."""
     num_levels: int = integer(1, 1, 5)
     """Number of levels under the base."""
     level_ruffle: float = real(1.0, 1.0, 1.7)

@@ -55,15 +55,15 @@ class NecklineDesign(Design):
     fc_angle: int = integer(95, 70, 110)
     """In front: slope of a trapezoid's sides, or angle of an arc [degrees]."""
     bc_angle: int = integer(95, 70, 110)
-    """The same angle at the back."""
+    """The same angle at the back [degrees]."""
     f_bezier_x: float = real(0.3, 0.05, 0.95, keep=0.4)
     """In front: position of a Bézier neckline's control point along its chord, as a fraction of the chord."""
     f_bezier_y: float = real(0.55, 0.05, 0.95, keep=0.4)
     """In front: distance of the control point from the chord, as a fraction of the chord."""
     b_bezier_x: float = real(0.15, 0.05, 0.95, keep=0.4)
-    """At the back: position of the control point along the chord."""
+    """At the back: position of the control point along the chord, as a fraction of the chord."""
     b_bezier_y: float = real(0.1, 0.05, 0.95, keep=0.4)
-    """At the back: distance of the control point from the chord."""
+    """At the back: distance of the control point from the chord, as a fraction of the chord."""
     f_flip_curve: bool = flag(False, keep=0.8)
     """In front: whether a curvy, arc or Bézier neckline bulges the other way."""
     b_flip_curve: bool = flag(False, keep=0.8)
@@ -76,16 +76,27 @@ class LeftNecklineDesign(Design):
     """The left half of a neckline that differs from the right one; both have the same depth."""
 
     f_collar: Neckline = choice(Neckline.CIRCLE, *Neckline, keep=0.4)
+    """Shape of the left half in front."""
     b_collar: Neckline = choice(Neckline.CIRCLE, *Neckline, keep=0.8)
+    """Shape of the left half at the back."""
     width: float = real(0.5, 0.0, 1.0, keep=0.4)
+    """Width of the left half: 0: as wide as the neck; 1: as wide as the shoulders allow."""
     fc_angle: int = integer(95, 70, 110)
+    """In front: slope of a trapezoid's left side, or angle of a left arc [degrees]."""
     bc_angle: int = integer(95, 70, 110)
+    """The same angle at the back [degrees]."""
     f_bezier_x: float = real(0.5, 0.05, 0.95, keep=0.4)
+    """In front: position of a left Bézier half's control point along its chord, as a fraction of the chord."""
     f_bezier_y: float = real(0.3, 0.05, 0.95)
+    """In front: distance of the control point from the chord, as a fraction of the chord."""
     b_bezier_x: float = real(0.5, 0.05, 0.95, keep=0.4)
+    """At the back: position of the control point along the chord, as a fraction of the chord."""
     b_bezier_y: float = real(0.3, 0.05, 0.95)
+    """At the back: distance of the control point from the chord, as a fraction of the chord."""
     f_flip_curve: bool = flag(False, keep=0.8)
+    """In front: whether a curvy, arc or Bézier left half bulges the other way."""
     b_flip_curve: bool = flag(False, keep=0.8)
+    """The same flag for the back."""
 
     def beside(self, right: NecklineDesign) -> NecklineDesign:
         """The complete design of the left neckline: depths from the right one, no collar."""

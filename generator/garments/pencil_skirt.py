@@ -78,6 +78,7 @@ class PencilSkirtDesign(Design):
     right_slit: float = real(0.0, 0.0, 0.9, keep=0.6)
     """Height of the slit in the right side seam, as a fraction of the seam below the hips."""
     style_side_cut: StyleCut | None = choice(None, *StyleCut, None, keep=1.0)
+    """Ornament in a side seam: read from GarmentCode's files, never sampled; a design that names one is not drawn."""
 
 
 def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting) -> Component:

@@ -102,8 +102,11 @@ class LeftShirtDesign(Design):
     """The left half of a shirt that differs from the right one; both have the same length."""
 
     strapless: bool = flag(False, keep=0.8)
+    """Whether the left half of a fitted shirt ends above the bust."""
     width: float = real(1.0, 1.0, 1.3, keep=0.4)
+    """Width of the left half's chest, as a fraction of half the bust."""
     flare: float = real(1.0, 0.7, 1.6, keep=0.4)
+    """Width of the left half's hem, as a fraction of its chest."""
 
     def beside(self, right: ShirtDesign) -> ShirtDesign:
         """The complete design of the left half: length from the right one."""

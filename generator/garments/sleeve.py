@@ -69,6 +69,7 @@ class SleeveDesign(Design):
     """A sleeve, or an armhole without a sleeve."""
 
     sleeveless: bool = flag(True, keep=0.7)
+    """Whether the armhole has no sleeve."""
     armhole_shape: Armhole = choice(Armhole.CURVE, *Armhole, keep=0.7)
     """Shape of an armhole without sleeve; sleeves are set into curved armholes."""
     length: float = real(0.3, 0.1, 1.15)

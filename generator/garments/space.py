@@ -21,7 +21,6 @@ rows is a whole number from 1 to 3
 
 import ast
 import inspect
-import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
@@ -29,6 +28,7 @@ from enum import Enum
 from functools import cache
 from itertools import chain, islice, pairwise
 from reprlib import repr as short
+from textwrap import dedent, fill
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -42,9 +42,29 @@ D = TypeVar("D", bound="Design")
 P = TypeVar("P", bound="Design")
 
 
+class _Doc:
+    """The docstring of a design: its own, and a line for each parameter, read from the source on demand."""
+
+    def __init__(self, own: str | None) -> None:
+        self.own = own
+
+    def __get__(self, design: "Design | None", kind: "type[Design]") -> str:
+        own = inspect.cleandoc(self.own or kind.__name__)
+        if "__match_args__" not in vars(kind):  # ``dataclass`` looks for a docstring before the class is complete
+            return own
+        lines = (
+            fill(line, 110, subsequent_indent="    ", break_on_hyphens=False)
+            for line in parameter_lines(DesignSpace.declared(kind))
+        )
+        return "\n".join([own, "", *lines])
+
+
 @dataclass(frozen=True)
 class Design:
     """A frozen set of parameters. Raises ``ConfigError`` for a value outside its parameter's range."""
+
+    def __init_subclass__(cls) -> None:
+        cls.__doc__ = _Doc(cls.__doc__)  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         for name, space in _parameters(type(self)):  # type: ignore[arg-type]
@@ -288,13 +308,18 @@ def value_at(space: DesignSpace[Any], design: Any, path: str) -> Any:
     return value_at(entry.space, value, rest) if rest and isinstance(entry.space, DesignSpace) else value
 
 
+@cache
 def field_docs(owner: type) -> dict[str, str]:
-    """Attribute to the docstring below it, in Markdown.
+    """Attribute to the docstring below it, in Markdown; empty for a class without source file.
 
     >>> field_docs(Leaf)
     {'path': 'Its path in design files: `flare-skirt.cut.depth`.'}
     """
-    (body,) = (node.body for node in ast.parse(textwrap.dedent(inspect.getsource(owner))).body if hasattr(node, "body"))
+    try:
+        source = dedent(inspect.getsource(owner))
+    except (OSError, TypeError):  # typed in, or made by ``exec``
+        return {}
+    (body,) = (node.body for node in ast.parse(source).body if hasattr(node, "body"))
     found = {}
     for node, below in pairwise(body):
         target = (
@@ -307,6 +332,24 @@ def field_docs(owner: type) -> dict[str, str]:
         if isinstance(target, ast.Name) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
             found[target.id] = " ".join(str(below.value.value).split()).replace("``", "`")
     return found
+
+
+def meanings(space: DesignSpace[Any], prefix: str = "") -> Iterator[tuple[Leaf, str]]:
+    """All parameters, those of added parts included, with the docstrings below them."""
+    owners = reversed(space.kind.__mro__[:-1])
+    docs = {name: text for owner in owners for name, text in field_docs(owner).items()}
+    for entry in space.entries:
+        if isinstance(entry.space, DesignSpace):
+            yield from meanings(entry.space, f"{prefix}{entry.key}.")
+        else:
+            yield Leaf(f"{prefix}{entry.key}", entry.space), docs.get(entry.name, "")
+
+
+def parameter_lines(space: DesignSpace[Any]) -> Iterator[str]:
+    """A line for each parameter: range, default, probability of the default, and meaning."""
+    for (path, values), meaning in meanings(space):
+        keep = "" if values.keep is None else f" with probability {values.keep:g}"
+        yield f"{path}: {values}; default {plain(values.default)}{keep}. {meaning}".rstrip()
 
 
 def _space(kind: type[D] | DesignSpace[D]) -> DesignSpace[D]:
