@@ -198,8 +198,8 @@ class MakeConfig:
                 )
             object.__setattr__(self, "wardrobe", read_outfits(self.outfits))
         if self.poses:
-            given, motion = self._read_poses()
-            object.__setattr__(self, "given_poses", given)
+            poses, motion = self._read_poses()
+            object.__setattr__(self, "given_poses", poses)
             object.__setattr__(self, "motion", motion)
         if self.views and self.stage != "drape":
             raise ConfigError(f"views is {self.views}, but stage {self.stage} drapes nothing: give stage drape, or 0")

@@ -10,6 +10,7 @@ from jaxtyping import Int
 from gcd_dataset.errors import ShardError
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import FPS, MOTION_STEP, POSITION_STEP, GarmentMotion, Pose, as_stored
+from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.sections import Coding, pack, unpack
 
 NAMES = ("faces", "fps", "bones", "turns", "counts", "first")
@@ -47,7 +48,7 @@ def encode_motion(motion: GarmentMotion) -> bytes:
     return pack(sections | steps, CODINGS)
 
 
-def decode_motion(data: bytes, *, source: str = "motion") -> GarmentMotion:
+def decode_motion(data: Bytes, *, source: str = "motion") -> GarmentMotion:
     """The garment in motion of a ``.motion.z``. Raises ``ShardError``, which names ``source``, for damaged data."""
     try:
         if not (sections := unpack(data)):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,8 +47,8 @@ def moving(worn: list[Sample]) -> list[Sample]:
 @pytest.fixture(scope="module")
 def folder(moving: list[Sample], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("moving")
-    options = {"recipe": recipe_of(WALK), "layout": layout_of_samples(WALK), "shard_size": 2}
-    with ShardWriter(path, seed=4, **options) as writer:
+    layout = layout_of_samples(WALK)
+    with ShardWriter(path, seed=4, recipe=recipe_of(WALK), layout=layout, shard_size=2) as writer:
         for sample in moving:
             writer.write(sample)
     return path
@@ -78,6 +79,8 @@ def test_items_are_windows_of_consecutive_frames(folder: Path, moving: list[Samp
 def test_a_cache_without_room_for_columns_gives_the_same_windows(folder: Path, tmp_path: Path) -> None:
     ds = GarmentDataset(folder, frames=3, cache_dir=folder / "cache")
     small = GarmentDataset(folder, frames=3, cache_dir=tmp_path, max_cache_size=150_000)
+    item: Any
+    same: Any
     for item, same in zip(ds, small, strict=True):
         assert item.keys() == same.keys()
         assert all(torch.equal(item[name], same[name]) for name in item if name.startswith("motion_"))
