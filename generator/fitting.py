@@ -22,15 +22,8 @@ from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError,
 from gcd_dataset.faults import Severity, require_valid
 from gcd_dataset.files import make_folder, safe_name, write_whole
 from gcd_dataset.generator.body.pose import pose_body, pose_degrees
-from gcd_dataset.generator.drape import (
-    DEFAULT_FABRIC,
-    FABRICS,
-    DrapeJob,
-    Fabric,
-    drape_motion,
-    drape_outfit,
-    garment_motion,
-)
+from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, drape_motion, drape_outfit
+from gcd_dataset.generator.drape.drape import garment_motion
 from gcd_dataset.generator.drapers import DrapeReply
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper

@@ -274,7 +274,8 @@ def starts_of(batch: Mapping[str, Any], field: str, target: str) -> Any:
         if f"{target}_ptr" not in batch:
             raise ConfigError(f"{field} holds rows of {target}: load the field {target} too")
         return batch[f"{target}_ptr"]
-    pointers, vertices = batch[f"{field}_ptr"], (worn_name(worn, name) for name in ("verts", "box"))
+    pointers = batch[f"{field}_ptr"]
+    vertices = (worn_name(worn, name) for name in ("verts", "box", "motion_verts"))
     found = [starts for name in vertices if (starts := batch.get(f"{name}_ptr")) is not None and starts[-1]]
     if not found and not pointers[-1]:
         return 0 * pointers

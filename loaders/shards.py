@@ -198,12 +198,8 @@ class GarmentDataset(Garments):
 
     reads_only = True
 
-    def __new__(
-        cls, *args: Any, streaming: bool = False, frames: int | None = None, **options: Any
-    ) -> "GarmentDataset":
-        if frames is not None and streaming:
-            raise ConfigError("streaming=True reads whole garments: leave it out, or frames")
-        if frames is not None:
+    def __new__(cls, *args: Any, streaming: bool = False, **options: Any) -> "GarmentDataset":
+        if options.get("frames") is not None:
             from gcd_dataset.loaders.windows import MotionWindows
 
             return super().__new__(MotionWindows)

@@ -30,6 +30,8 @@ class MotionWindows(GarmentDataset):
 
     def __init__(self, source: str | Path, *args: Any, frames: int | None = None, **options: Any) -> None:
         self.frames = require_integer("frames", frames or 0, least=1)
+        if options.get("streaming"):
+            raise ConfigError("streaming=True reads whole garments: leave it out, or frames")
         super().__init__(source, *args, **options)
         found: list[Mapping[str, Any]] = []
         for reader, positions in self._parts:

@@ -523,7 +523,9 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             maps=Maps(**{f: field[f].astype(float) for f in ARRAYS[MAPS]}, softened=meta["softened"])
             if "gap" in field
             else None,
-            motion=_motion(members[MOTION], meta["motion"]) if MOTION in members else None,
+            motion=replace(decode_motion(members[MOTION]), asked=moved["asked"], ended=Outcome[moved["ended"]])
+            if (moved := meta.get("motion"))
+            else None,
             points=field["points"].astype(float) if len(field["points"]) else None,
             grade=Grade(meta["grade"]) if meta["grade"] else None,
             fabric=first.fabric,
@@ -821,17 +823,10 @@ def _provenance(meta: Mapping[str, Any], rejects: Sequence[Mapping[str, Any]]) -
     )
 
 
-def _motion(data: Bytes, entry: Mapping[str, Any]) -> GarmentMotion:
-    return replace(decode_motion(data), asked=entry["asked"], ended=Outcome[entry["ended"]])
-
-
 def _motion_rows(motion: GarmentMotion) -> dict[str, np.ndarray]:
     """The fields of a motion: rows of its frames, one frame after the other."""
-    turns = [pose.array for pose in motion.poses]
-    return {
-        "motion_verts": motion.vertices.reshape(-1, 3),
-        "motion_pose": np.array(turns, np.float32).reshape(-1, 3),
-    }
+    turns = np.array([pose.array for pose in motion.poses], np.float32)
+    return {"motion_verts": motion.vertices.reshape(-1, 3), "motion_pose": turns.reshape(-1, 3)}
 
 
 def _garment(field: Mapping[str, Any], key: str) -> WornGarment:

@@ -122,9 +122,7 @@ def _layers(content: Content) -> str:
 
 def _frames(motion: GarmentMotion) -> str:
     """The slider over the frames of a motion, and the button that plays them."""
-    bar = (
-        f'<input type="range" id="motion" min="0" max="{len(motion.poses) - 1}" step="1" value="0" aria-label="Frame">'
-    )
+    bar = f'<input type="range" id="motion" max="{len(motion.poses) - 1}" value="0" aria-label="Frame">'
     button = '<button type="button" id="play" aria-pressed="false">play</button>'
     return f'      <div class="slider">{bar}<div class="stops">{button}</div></div>\n'
 

@@ -2,15 +2,7 @@
 
 from gcd_dataset.generator.device import every_device, load_kernels, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.drape import (
-    batch_capacity,
-    drape_all,
-    drape_batch,
-    drape_motion,
-    drape_on,
-    drape_outfit,
-    garment_motion,
-)
+from gcd_dataset.generator.drape.drape import batch_capacity, drape_all, drape_batch, drape_motion, drape_outfit
 from gcd_dataset.generator.drape.fabrics import (
     DEFAULT_FABRIC,
     FABRICS,
@@ -38,12 +30,10 @@ __all__ = [
     "drape_all",
     "drape_batch",
     "drape_motion",
-    "drape_on",
     "drape_outfit",
     "draw_fabric",
     "every_device",
     "fabric_named",
-    "garment_motion",
     "kernels_compiled",
     "layers_of",
     "load_kernels",

@@ -118,7 +118,7 @@ def moved(request: DrapeRequest, drape: Drape, device: str) -> GarmentMotion | N
     """The motion of a request's garment, whose first frame is ``drape``; ``None`` if its body stays."""
     if not request.motion:
         return None
-    from gcd_dataset.generator.drape import drape_on, garment_motion
+    from gcd_dataset.generator.drape.drape import drape_on, garment_motion
 
     later = drape_on(request.job, drape, request.motion[1:], device=device)
     return garment_motion([drape, *later], request.job.box_mesh.faces, request.motion)

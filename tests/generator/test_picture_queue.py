@@ -85,7 +85,9 @@ def test_a_garment_in_motion_goes_on_from_its_drape(
     jobs: list[DrapeJob], monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:
     """With pictures and without."""
-    monkeypatch.setattr("gcd_dataset.generator.drape.drape_on", lambda _, rest, later, **__: [rest for _ in later])
+    monkeypatch.setattr(
+        "gcd_dataset.generator.drape.drape.drape_on", lambda _, rest, later, **__: [rest for _ in later]
+    )
     request = DrapeRequest(7, jobs[0], picture=size, motion=tuple(walk()[:3]))
     replies: list[DrapeReply] = []
     queue = PictureQueue("cpu")

@@ -183,7 +183,7 @@ def test_a_motion_that_fails_keeps_its_frames(
     def fail(job: object, rest: Drape, *_: object, **__: object) -> Iterator[Drape]:
         yield from (replace(rest, outcome=Outcome[name]) for name in outcomes)
 
-    monkeypatch.setattr("gcd_dataset.generator.drape.drape_on", fail)
+    monkeypatch.setattr("gcd_dataset.generator.drape.drape.drape_on", fail)
     meta = decode_field("meta", encode_sample(make(5, 1, steps)))
     assert meta["drape"]["outcome"] == "SETTLED"
     told = {"frames": kept, "asked": 3, "fps": 30.0, "ended": outcomes[-1]}

@@ -92,7 +92,8 @@ def test_batches_hold_windows_of_different_garments(folder: Path, workers: int) 
     fields = ["verts", "faces", "motion_verts", "motion_velocities", "motion_pose", "motion_first"]
     ds = GarmentDataset(folder, fields=fields, frames=3, cache_dir=folder / "cache")
     [batch] = GarmentLoader(ds, 6, shuffle=False, num_workers=workers)
-    items, count = list(ds), len(batch.verts)
+    items: list[Any] = list(ds)
+    count = len(batch.verts)
     assert batch.motion_verts.shape == batch.motion_velocities.shape == (3, count, 3)
     assert batch.motion_pose.shape == (6, 3, 21, 3)
     assert batch.motion_first.tolist() == [0, 1, 2, 3, 0, 1]
@@ -100,6 +101,8 @@ def test_batches_hold_windows_of_different_garments(folder: Path, workers: int) 
     values, starts, _ = batch.varlen("motion_verts")
     assert torch.equal(values[starts[4] : starts[5]].swapaxes(0, 1), items[4]["motion_verts"])
     assert torch.equal(batch.garment(4)["motion_velocities"], items[4]["motion_velocities"])
+    alone = collate_packed([{name: item[name] for name in ("faces", "motion_verts")} for item in items])
+    assert torch.equal(alone.faces, batch.faces)
     padded = collate_padded(items)
     vertices = [len(item["verts"]) for item in items]
     assert padded.motion_verts.shape == (6, 3, max(vertices), 3)
@@ -124,7 +127,9 @@ def test_garments_without_frames_hold_no_motion(folder: Path, worn_folder: Path)
 
 
 def test_made_garments_hold_their_motion_in_the_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.generator.drape.drape_on", lambda _, rest, later, **__: [rest for _ in later])
+    monkeypatch.setattr(
+        "gcd_dataset.generator.drape.drape.drape_on", lambda _, rest, later, **__: [rest for _ in later]
+    )
     short = {"meta": {"upper": "none", "bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.2}}
     options = {"resolution": 10.0, "picture": 0, "device": "cpu", "poses": "walk", "design": short}
     made = GeneratedGarments(1, cache_dir=tmp_path, **options)  # type: ignore[arg-type]
