@@ -426,6 +426,8 @@ class Pattern(Record):
 
 POSITION_STEP = 2.0**-9
 """Draped positions are multiples of this [cm], so that what is judged is what shards store."""
+FPS = 30.0
+"""Usual frames of a motion a second."""
 MOTION_STEP = 2.0**-4
 """Positions of a garment in motion are multiples of this [cm] after its first frame."""
 UV_STEP = 2.0**-10
@@ -582,6 +584,10 @@ class GarmentMotion(Record):
     """Frames a second."""
     crossings: Int[np.ndarray, "t 3"]
     """``self_crossings``, ``body_crossings`` and ``body_through`` of the drape in each frame, before rounding."""
+    asked: int = 0
+    """Frames of the whole motion of the body; this and ``ended`` are not in ``.motion.z``."""
+    ended: Outcome = Outcome.SETTLED
+    """Outcome in the frame after the last of these, for which the motion ends early."""
 
     @property
     def is_clean(self) -> Bool[np.ndarray, " t"]:
@@ -799,6 +805,8 @@ class Sample(Record):
     drape: Drape | None = None
     maps: Maps | None = None
     """``None`` unless the recipe asks for them."""
+    motion: GarmentMotion | None = None
+    """Of the body whose pose is that of ``shape`` in the first frame; ``None`` for one that stays."""
     points: Float[np.ndarray, "n 6"] | None = None
     """Surface points and normals [cm, 1]."""
     front: bytes | None = None

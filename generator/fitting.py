@@ -23,7 +23,7 @@ from gcd_dataset.faults import Severity, require_valid
 from gcd_dataset.files import make_folder, safe_name, write_whole
 from gcd_dataset.generator.body.pose import pose_body, pose_degrees
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, drape_motion, drape_outfit
-from gcd_dataset.generator.drape.outcome import KEEPS_CROSSINGS
+from gcd_dataset.generator.drape.drape import garment_motion
 from gcd_dataset.generator.drapers import DrapeReply
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.drapers.local import LocalDraper
@@ -56,7 +56,7 @@ from gcd_dataset.records import (
     WornGarment,
 )
 from gcd_dataset.release.published_names import ENDINGS
-from gcd_dataset.shards.motion import encode_motion, motion_as_stored
+from gcd_dataset.shards.motion import encode_motion
 from gcd_dataset.spec import pattern_name, read_pattern, write_pattern
 
 log = logging.getLogger(__name__)
@@ -330,17 +330,14 @@ def drape_moving(
         start = time.perf_counter()
         drapes = list(drape_motion(job, poses, fps=fps, device=device))
         taken, rest, last = time.perf_counter() - start, drapes[0], drapes[-1]
-        if last.outcome not in KEEPS_CROSSINGS:
+        motion = garment_motion(drapes, job.box_mesh.faces, poses, fps=fps)
+        if motion.ended is not Outcome.SETTLED:
             where = f"frame {len(drapes)} of {len(poses)}"
             rest = replace(rest, outcome=last.outcome, reason=f"{where}: {last.reason}" if last.reason else where)
-            drapes.pop()
-        crossings = np.array([[getattr(drape, name) for name in CROSSINGS] for drape in drapes])
-        motion = None
-        if drapes:
-            positions = motion_as_stored(np.stack([drape.vertices for drape in drapes]))
-            motion = GarmentMotion(positions, job.box_mesh.faces, tuple(poses[: len(drapes)]), fps, crossings)
         fitting = Fitting(dressing.pattern, job.body, dressing.assumed, job.box_mesh, rest, {}, seconds, taken)
-        yield replace(fitting, body=pose_body(job.body, poses[0]), home=job.body, motion=motion)
+        yield replace(
+            fitting, body=pose_body(job.body, poses[0]), home=job.body, motion=motion if motion.poses else None
+        )
 
 
 def drape_together(

@@ -195,9 +195,9 @@ class _Pending(Generic[Made]):
         jobs, finished = drape_jobs(design, config), partial(self._finish, index, design)
         maps = config.maps and not under
         if not (self.pictured and design.is_outermost):
-            return DrapeWork(jobs, finished, maps=maps)
-        under_jobs = shown_under(design) if jobs else ()
-        return DrapeWork(jobs, finished, config.picture, view_requests(design, config), maps, under_jobs)
+            return DrapeWork(jobs, finished, maps=maps, motion=config.motion)
+        under_jobs, views = shown_under(design) if jobs else (), view_requests(design, config)
+        return DrapeWork(jobs, finished, config.picture, views, maps, config.motion, under_jobs)
 
     def _finish(self, index: int, design: DressedDesign, replies: Sequence[DrapeReply]) -> int | DrapeWork[int]:
         """Finish the requested samples of a design; return the next attempt if a drape failed, or the next garment."""

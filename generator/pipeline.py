@@ -62,6 +62,7 @@ from gcd_dataset.records import (
 )
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import key_of
+from gcd_dataset.shards.motion import NO_FRAMES
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob, Fabric
@@ -375,7 +376,7 @@ def _drawn_pose(stream: np.random.Generator, body: Body, config: MakeConfig) -> 
     """The pose of a sample, the same in all attempts."""
     from gcd_dataset.generator.standing import counted, draw_pose
 
-    given = config.given_poses
+    given = config.motion[:1] or config.given_poses
     return counted(given[stream.integers(len(given))], body) if given else draw_pose(stream, body)
 
 
@@ -407,7 +408,8 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
 def all_replies(design: DressedDesign, replies: Sequence["DrapeReply"], config: MakeConfig) -> tuple["DrapeReply", ...]:
     """The replies to ``drape_jobs``, and one with ``CANNOT_BE_PUT_ON`` for each other wearer, in their order.
 
-    A garment over one that did not settle is ``REFUSED``. Raises ``DrapeError`` for a reply without the maps asked for.
+    A garment over one that did not settle is ``REFUSED``. Raises ``DrapeError`` for a reply without the maps, or the
+    motion, asked for.
     """
     if config.stage != "drape":
         return ()
@@ -415,6 +417,8 @@ def all_replies(design: DressedDesign, replies: Sequence["DrapeReply"], config: 
 
     if config.maps and not design.under and any(reply.maps is None for reply in replies):
         raise DrapeError("the draper made no maps: reply with maps_of where DrapeRequest.maps is set, or make none")
+    if config.motion and any(reply.motion is None for reply in replies):
+        raise DrapeError("the draper made no motion: reply with one where DrapeRequest.motion is set, or ask for none")
     draped = iter(replies)
     return tuple(
         next(draped)
@@ -492,7 +496,10 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         views = tuple(StoredView(jpeg_bytes(view.rgb), view.facts) for view in reply.views)
         if not views and not (outermost.is_draped and np.isfinite(reply.drape.vertices).all()):
             views = config.views * (MISSING_VIEW,)  # every sample has the same members
-    maps, ease = None, dict[str, Ease]()
+    motion, maps, ease = None, None, dict[str, Ease]()
+    if config.motion and drape is not None:
+        assert reply is not None
+        motion = reply.motion or replace(NO_FRAMES, asked=len(config.motion), ended=drape.outcome)
     if config.maps and drape is not None:
         maps = all_worn[0].replies[row].maps or Maps.unknown(len(drape.vertices))
     if config.ease and mesh is not None:
@@ -524,6 +531,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         box_mesh=mesh,
         drape=drape,
         maps=maps,
+        motion=motion,
         points=points,
         front=front,
         back=back,

@@ -2,19 +2,21 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from importlib.metadata import version
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypedDict, get_args
 
 from gcd_dataset import __version__
 from gcd_dataset.devicenames import named_devices
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.body.motion import GAITS
 from gcd_dataset.generator.body.sizes import CHARTS, SizeChart, read_chart
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.outfits import OUTFITS, Outfits, WornDesign, read_outfits
 from gcd_dataset.options import Option
-from gcd_dataset.records import Measurements, Pose
+from gcd_dataset.records import FPS, Measurements, Pose
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import Layout, garments_layout, recipe_hash
 
@@ -147,8 +149,9 @@ class MakeConfig:
         str,
         Option(
             "pose in which each garment is draped, drawn by seed and number; standing: another for each sample, bones "
-            "within 45 degrees of the A-pose; t-pose, … or a JSON or TOML file of poses: one of them; measures and "
-            "pattern are made for the A-pose; for single garments; empty: the A-pose"
+            "within 45 degrees of the A-pose; t-pose, … or a JSON or TOML file of poses: one of them; walk, stroll, … "
+            "or a BVH file: a motion, 30 frames a second, in the member motion.z; measures and pattern are made for "
+            "the A-pose; for single garments; empty: the A-pose"
         ),
     ] = ""
     chart: SizeChart | None = field(default=None, init=False, repr=False, compare=False)
@@ -156,7 +159,9 @@ class MakeConfig:
     wardrobe: Outfits | None = field(default=None, init=False, repr=False, compare=False)
     """The file ``outfits``, as read."""
     given_poses: tuple[Pose, ...] = field(default=(), init=False, repr=False, compare=False)
-    """The poses of the file ``poses``; none where they are drawn."""
+    """The poses of the file ``poses``; none where they are drawn, or a motion."""
+    motion: tuple[Pose, ...] = field(default=(), init=False, repr=False, compare=False)
+    """The poses of the motion ``poses``, ``FPS`` a second; none where the body stays."""
 
     def __post_init__(self) -> None:
         for entry in (entry for entry in fields(self) if entry.init):
@@ -193,7 +198,9 @@ class MakeConfig:
                 )
             object.__setattr__(self, "wardrobe", read_outfits(self.outfits))
         if self.poses:
-            object.__setattr__(self, "given_poses", self._read_poses())
+            poses, motion = self._read_poses()
+            object.__setattr__(self, "given_poses", poses)
+            object.__setattr__(self, "motion", motion)
         if self.views and self.stage != "drape":
             raise ConfigError(f"views is {self.views}, but stage {self.stage} drapes nothing: give stage drape, or 0")
         if self.maps and self.stage != "drape":
@@ -201,14 +208,20 @@ class MakeConfig:
         if self.ease and self.stage == "pattern":
             raise ConfigError("ease is measured on the mesh, and stage pattern makes none: give stage mesh or drape")
 
-    def _read_poses(self) -> tuple[Pose, ...]:
+    def _read_poses(self) -> tuple[tuple[Pose, ...], tuple[Pose, ...]]:
+        """``given_poses`` and ``motion``."""
+        from gcd_dataset.generator.body.motion import named_motion
         from gcd_dataset.generator.body.pose import STANDING, read_poses
 
         if self.stage != "drape":
             raise ConfigError(f"poses are of a drape, and stage {self.stage} drapes nothing: give stage drape")
         if self.outfits:
             raise ConfigError("poses are for single garments: leave poses out with outfits, whose wearers cannot move")
-        return () if self.poses == STANDING else read_poses(self.poses)
+        path = Path(self.poses)
+        if self.poses in GAITS or path.suffix.lower() == ".bvh":
+            poses = enumerate(named_motion(self.poses, fps=FPS), 1)
+            return (), tuple(replace(pose, name=f"{path.stem}, frame {k}") for k, pose in poses)
+        return () if self.poses == STANDING else read_poses(self.poses), ()
 
     @property
     def wearers(self) -> int:
@@ -278,6 +291,8 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
         recipe["outfits"] = recipe_hash(dict(config.wardrobe.content))
     if config.given_poses:
         recipe["poses"] = recipe_hash({pose.name: {**pose.turns} for pose in config.given_poses})
+    if config.motion and config.poses not in GAITS:  # rounded: machines differ in the last digits
+        recipe["poses"] = recipe_hash({pose.name: pose.array.round(6).tolist() for pose in config.motion})
     for name, usual in LATER.items():
         if recipe[name] == usual:
             del recipe[name]
@@ -292,6 +307,7 @@ def layout_of_samples(config: MakeConfig) -> Layout:
         caption=config.captions,
         maps=config.maps,
         pose=bool(config.poses),
+        motion=bool(config.motion),
         views=config.views,
         sides=sides,
         garments=config.most_garments,

@@ -26,9 +26,13 @@ _RAGGED = (
     "panels", "edges", "stitches", "closures", "lines", "faces", "uv", "panel_id", "labels", "seams", "corners",
     "uv_vertex", "box", "verts", "stretch", "gap", "pressure", "panel_corners", "panel_corner_pixels",
     "panel_corner_visible", "garment_id", "panel_garment",
+    "motion_verts", "motion_velocities",
 )  # fmt: skip
 RAGGED = of_each_garment(dict.fromkeys(_RAGGED))
 """Fields with a different number of rows in each garment."""
+
+FRAMES_FIRST = {"motion_verts", "motion_velocities"}
+"""Ragged fields whose rows are their second axis, after the frames."""
 
 WHOLE = slice(None)
 _POINTS_TO: Mapping[str, tuple[tuple[slice, str], ...]] = {
@@ -114,6 +118,10 @@ class _Batch(dict[str, Any]):
     measures: list[dict[str, float]] = _entry()
     body: Float[Tensor, "b k"] = _entry()
     pose: Float[Tensor, "b 21 3"] = _entry()
+    motion_verts: Float[Tensor, "*b t v 3"] = _entry()
+    motion_velocities: Float[Tensor, "*b t v 3"] = _entry()
+    motion_pose: Float[Tensor, "b t 21 3"] = _entry()
+    motion_first: Int[Tensor, " b"] = _entry()
     points: Float[Tensor, "b n 6"] = _entry()
     front: UInt8[Tensor, "b 3 h w"] = _entry()
     back: UInt8[Tensor, "b 3 h w"] = _entry()
@@ -195,7 +203,7 @@ class PackedBatch(_Batch):
     def nested(self, field: str) -> Tensor:
         """A ragged field as a nested tensor [B, rows, …] in the jagged layout, without a copy."""
         self._require_ragged(field)
-        return torch.nested.nested_tensor_from_jagged(self[field], self[f"{field}_ptr"])
+        return torch.nested.nested_tensor_from_jagged(_rows_first(self[field], field), self[f"{field}_ptr"])
 
     def varlen(self, field: str) -> Varlen:
         """A ragged field in the form of variable-length attention, without a copy.
@@ -213,7 +221,7 @@ class PackedBatch(_Batch):
         self._require_ragged(field)
         pointers = self[f"{field}_ptr"]
         longest = int(pointers.diff().max()) if len(pointers) > 1 else 0
-        return Varlen(self[field], pointers.to(torch.int32), longest)
+        return Varlen(_rows_first(self[field], field), pointers.to(torch.int32), longest)
 
     def _require_ragged(self, field: str) -> None:
         if f"{field}_ptr" not in self:
@@ -228,7 +236,8 @@ class PackedBatch(_Batch):
     def _rows(self, field: str, number: int) -> Tensor:
         first, last = self[f"{field}_ptr"][number : number + 2].tolist()
         columns = POINTS_TO.get(field, ())
-        rows: Tensor = self[field][first:last].clone() if columns else self[field][first:last]
+        rows: Tensor = _rows_first(self[field], field)[first:last]
+        rows = rows.clone() if columns else _rows_first(rows, field)
         worn, plain = split_worn(field)
         if plain == "stitches" and (lines := f"{worn_name(worn, 'lines')}_ptr") in self:
             sides, edges = rows[:, : StitchColumn.RIGHT + 1], self[f"{worn_name(worn, 'edges')}_ptr"]
@@ -265,7 +274,8 @@ def starts_of(batch: Mapping[str, Any], field: str, target: str) -> Any:
         if f"{target}_ptr" not in batch:
             raise ConfigError(f"{field} holds rows of {target}: load the field {target} too")
         return batch[f"{target}_ptr"]
-    pointers, vertices = batch[f"{field}_ptr"], (worn_name(worn, name) for name in ("verts", "box"))
+    pointers = batch[f"{field}_ptr"]
+    vertices = (worn_name(worn, name) for name in ("verts", "box", "motion_verts"))
     found = [starts for name in vertices if (starts := batch.get(f"{name}_ptr")) is not None and starts[-1]]
     if not found and not pointers[-1]:
         return 0 * pointers
@@ -336,7 +346,8 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     """Concatenate ragged arrays, as PyTorch Geometric batches graphs; stack the others.
 
     - A ragged field (``RAGGED``: meshes and patterns) is concatenated along its rows. ``<field>_ptr``, int64 [B+1],
-      holds the start of each garment: garment k is ``batch["verts"][ptr[k]:ptr[k + 1]]``.
+      holds the start of each garment: garment k is ``batch["verts"][ptr[k]:ptr[k + 1]]``. Of ``motion_verts`` and
+      ``motion_velocities`` rows are the second axis, [frames, rows, 3]; in ``varlen`` and ``nested`` the first.
     - Row numbers are offset to index the concatenated arrays: ``batch["verts"][batch["faces"]]`` are the triangles of
       the whole batch. ``faces``, ``uv_vertex`` and the first column of ``labels`` and ``seams`` refer to ``verts`` and
       ``box``; ``corners`` to ``uv``; ``panel_id`` and ``edges[:, EdgeColumn.PANEL]`` to ``panels``; ``stitches[:, :2]``
@@ -369,7 +380,7 @@ def pack_items(items: Sequence[Item]) -> PackedBatch:
     batch |= {name: torch.from_numpy(pointers) for name, pointers in starts.items()}
     for field, values in columns.items():
         if field in counts:
-            batch[field] = _concatenated(values, counts[field], dtype, starts, field)
+            batch[field] = _rows_first(_concatenated(values, counts[field], dtype, starts, field), field)
         else:
             batch[field] = _stacked(values, dtype, field, isinstance(items, StoredItems))
     for worn in [split_worn(field)[0] for field in counts if split_worn(field)[1] == "stitches"]:
@@ -399,8 +410,8 @@ def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = No
     """Pad ragged arrays to equal length and stack everything, for networks with inputs of fixed shape.
 
     - A ragged field becomes [B, n, …], n the rows of the longest garment of the batch; ``<field>_mask``, bool [B, n],
-      is true on real rows. Padding is 0 in floating arrays, false in boolean ones, and -1 in integer arrays: a
-      row number that refers to nothing.
+      is true on real rows; ``motion_verts`` becomes [B, frames, n, 3]. Padding is 0 in floating arrays, false in
+      boolean ones, and -1 in integer arrays: a row number that refers to nothing.
     - Row numbers count within the garment: ``faces[k]`` are rows of ``verts[k]``.
     - ``rows``: field to a fixed n for all batches: ``functools.partial(collate_padded, rows={"panels": 40})``.
     - All other fields as in ``collate_packed``.
@@ -416,7 +427,8 @@ def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = No
     columns, dtype = _columns(items)
     for field, values in columns.items():
         if field in RAGGED:
-            batch[field], batch[f"{field}_mask"] = _pad(values, dtype, field, (rows or {}).get(field))
+            padded, batch[f"{field}_mask"] = _pad(values, dtype, field, (rows or {}).get(field))
+            batch[field] = padded.swapaxes(1, 2) if field in FRAMES_FIRST else padded
         else:
             batch[field] = _stacked(values, dtype, field, isinstance(items, StoredItems))
     return unwrap(sent(batch))
@@ -430,7 +442,12 @@ def _columns(items: Sequence[Item]) -> tuple[dict[str, list[Any]], torch.dtype |
     if isinstance(items, StoredItems):
         return {field: items.column(field) for field in items.fields}, items.dtype
     _require_same_fields(items)
-    return {field: [item[field] for item in items] for field in items[0]}, None
+    return {field: [_rows_first(item[field], field) for item in items] for field in items[0]}, None
+
+
+def _rows_first(values: Any, field: str) -> Any:
+    """The values of a ragged field with the rows as their first axis; and such values as the batch holds them."""
+    return values.swapaxes(0, 1) if field in FRAMES_FIRST else values
 
 
 def _concatenated(

@@ -44,6 +44,15 @@ class GarmentFields(TypedDict, total=False):
     """Weights of the wearer's shape components [standard deviations]."""
     pose: Float[Tensor, "21 3"]
     """Bend, spread and twist of each of ``gcd_dataset.records.BONES`` [rad]; in recipes with ``poses``."""
+    motion_verts: Float[Tensor, "t v 3"]
+    """Positions in each frame of the window [cm]; this field and the next three are of ``MotionWindows``."""
+    motion_velocities: Float[Tensor, "t v 3"]
+    """Way from the frame before, times frames a second [cm/s]; 0 in the first frame of the motion, at rest. Positions
+    are multiples of 1/16 cm: of a slow garment take the mean of several frames."""
+    motion_pose: Float[Tensor, "t 21 3"]
+    """``pose`` in each frame."""
+    motion_first: Int[Tensor, ""]
+    """Number of the window's first frame in the motion, from 0."""
     faces: Int[Tensor, "f 3"]
     """Triangles: rows of ``verts`` and ``box``."""
     uv: Float[Tensor, "c 2"]

@@ -264,7 +264,9 @@ class GeneratedGarments(Garments):
         members = None
         try:
             if self._sample_cache is not None:
-                members = self._sample_cache.read(position, members_of(fields or self.fields, self._member_of))
+                members = self._sample_cache.read(
+                    position, members_of(fields or self.fields, fields_of(self._layout.members))
+                )
         except ShardError as error:
             logger.warning("%s; it is made again", error)
         if members is None:

@@ -35,6 +35,7 @@ from gcd_dataset.shards.columns import Columns, value_of
 from gcd_dataset.shards.layout import (
     JOINT,
     META,
+    MOTION,
     Bytes,
     fields_of,
     is_picture,
@@ -168,6 +169,8 @@ class GarmentDataset(Garments):
     - ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it for the first time, ``full`` checks
       everything on opening, ``off`` nothing; remote data, and shards from which columns are made, are checked in any
       case.
+    - ``frames``: of garments in motion (``gcd generate --poses walk``), the number of consecutive frames of an item:
+      there is an item for each window of so many frames, see ``MotionWindows``. Without it a garment is one item.
     - ``streaming``: an iterable data set instead, which reads shard after shard and splits the garments over ranks and
       workers; the shards of a remote set are fetched whole, to the cache.
 
@@ -196,6 +199,10 @@ class GarmentDataset(Garments):
     reads_only = True
 
     def __new__(cls, *args: Any, streaming: bool = False, **options: Any) -> "GarmentDataset":
+        if options.get("frames") is not None:
+            from gcd_dataset.loaders.windows import MotionWindows
+
+            return super().__new__(MotionWindows)
         if not streaming:
             return super().__new__(cls)
         from gcd_dataset.loaders.streamed import StreamedGarments
@@ -224,6 +231,7 @@ class GarmentDataset(Garments):
         quality: Quality | None = None,
         dtype: torch.dtype | None = torch.float32,
         window: int | None = None,
+        frames: int | None = None,
     ) -> None:
         parts = parse_splits(split)
         fields = None if fields is None else [fields] if isinstance(fields, str) else list(fields)
@@ -247,7 +255,7 @@ class GarmentDataset(Garments):
         super().__init__(
             fields,
             transform,
-            available=fields_of(shared),
+            available=self._available(shared),
             absent=_absent(self._parts, fields, is_remote=isinstance(store, RemoteStore)),
             dtype=dtype,
         )
@@ -255,7 +263,7 @@ class GarmentDataset(Garments):
         """The remote source with its revision; ``None`` for a folder that was not downloaded."""
         limit = size_in_bytes(max_cache_size)
         single = dtype not in (None, torch.float64)
-        stored = _stored_fields(self.fields, shared)
+        stored = _stored_fields(self._read_fields, shared)
         self._columns = {name: Columns(reader, stored, limit=limit, single=single) for name, reader in readers.items()}
         self._is_remote, self._told = isinstance(store, RemoteStore), False
         self.window = self._window(window, limit)
@@ -265,6 +273,15 @@ class GarmentDataset(Garments):
     def revision(self) -> str | None:
         """The commit of the repository, or the hash of a URL's manifest."""
         return None if self.source is None else self.source.rpartition("@")[2]
+
+    def _available(self, members: Sequence[str]) -> dict[str, str]:
+        """Field of an item to its member."""
+        return fields_of(member for member in members if member != MOTION)
+
+    @property
+    def _read_fields(self) -> tuple[str, ...]:
+        """The stored fields from which those of an item are made."""
+        return self.fields
 
     def __len__(self) -> int:
         return self._ends[-1]
@@ -429,7 +446,9 @@ def _absent(parts: Sequence[_SplitPart], fields: Sequence[str] | None, *, is_rem
     if settled.any():  # a garment that cannot be put on has no pictures
         first = next((position for position in part.positions if settled[part.reader.rows([position])[0]]), first)
     held = {
-        field: member for field, member in fields_of(part.reader.layout.members).items() if not is_view_field(field)
+        field: member
+        for field, member in fields_of(part.reader.layout.members).items()
+        if not is_view_field(field) and member != MOTION
     }
     pictures = [field for field in held if is_picture(held[field])]
     stored = {field: held[field] for field in held if field not in pictures or fields is None or field in fields}

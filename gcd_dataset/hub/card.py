@@ -45,6 +45,8 @@ FIELD_DESCRIPTIONS: Mapping[str, str] = {
     "gap": "signed distance of each vertex from the skin [cm]",
     "pressure": "pressure of each vertex on the skin [kPa]",
     "pose": "bend, spread and twist of each bone off the A-pose [rad]",
+    "motion_verts": "vertex positions of all frames, one frame after the other [cm]",
+    "motion_pose": "the same of the pose in each frame [rad]",
     "front": "picture from the front",
     "back": "picture from behind",
 }

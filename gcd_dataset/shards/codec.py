@@ -36,6 +36,7 @@ from gcd_dataset.records import (
     Ease,
     Fit,
     FitLabel,
+    GarmentMotion,
     Grade,
     Layer,
     Maps,
@@ -62,6 +63,7 @@ from gcd_dataset.shards.layout import (
     MOST_GARMENTS,
     MOST_PIXELS,
     MOST_VIEWS,
+    MOTION,
     POSE,
     SCHEMA,
     Bytes,
@@ -91,6 +93,7 @@ from gcd_dataset.shards.meta import (
     fit_entry,
     json_bytes,
     json_text,
+    motion_entry,
     pose_entry,
     read_meta,
     read_rejects,
@@ -98,6 +101,7 @@ from gcd_dataset.shards.meta import (
     sealed,
     shape_of,
 )
+from gcd_dataset.shards.motion import decode_motion, encode_motion
 from gcd_dataset.shards.sections import Coding, pack, unpack
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
 from gcd_dataset.tensors import COLUMNS, NO_LINES, LineColumn, PanelColumn, PatternTensor, encode_pattern, sewn_rows
@@ -124,6 +128,7 @@ _WIDTHS: Mapping[str, tuple[int, ...]] = {
     **{field: (len(columns),) for field, columns in COLUMNS.items()}, "body": (),
     "faces": (3,), "uv": (2,), "panel_id": (), "labels": (2,), "seams": (2,), "corners": (3,), "uv_vertex": (),
     "box": (3,), "verts": (3,), "points": (6,), "stretch": (2,), "gap": (), "pressure": (), "pose": (3,),
+    "motion_verts": (3,), "motion_pose": (3,),
 }  # fmt: skip
 WIDTHS = of_each_garment(_WIDTHS)
 """Field to the shape of one row of its array."""
@@ -237,6 +242,8 @@ def _content(sample: Sample, garments: Sequence[WornGarment], tensors: Sequence[
     surface = {"points.z": _points(sample.points), **({MAPS: pack(maps)} if maps else {})}
     if sample.shape is not None and sample.shape.pose:
         surface[POSE] = pack({"pose": sample.shape.pose.array.astype(np.float32)})
+    if sample.motion is not None:
+        surface[MOTION] = encode_motion(sample.motion)
     return {**texts[0], **own, **_further(texts), **arrays[0], **surface, **_further(arrays), **pictures, **views}
 
 
@@ -386,6 +393,7 @@ def _meta(sample: Sample, garments: Sequence[WornGarment], tensors: Sequence[Pat
         "gathers": list(map(float, sample.gathers)) or [-1.0],
         **({"fit": fit} if fit else {}),
         **({} if sample.maps is None else {"softened": float(sample.maps.softened)}),
+        **({} if sample.motion is None else {"motion": motion_entry(sample.motion)}),
         **({"outfit": worn, "layers": layers} if len(garments) > 1 else {}),
         "tags": list(sample.tags) or [""],
         "source": provenance.source,
@@ -496,7 +504,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
     """
     member_in = fields_of(members)
     pictures = {field: bytes(members[member]) for field, member in member_in.items() if member.endswith(".jpg")}
-    field = decode_fields(members, [name for name in member_in if name not in pictures])
+    field = decode_fields(members, [f for f in member_in if f not in pictures and f not in ARRAYS[MOTION]])
     meta = field["meta"]
     fit = meta.get("fit", {})
     try:
@@ -514,6 +522,9 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             drape=first.drape,
             maps=Maps(**{f: field[f].astype(float) for f in ARRAYS[MAPS]}, softened=meta["softened"])
             if "gap" in field
+            else None,
+            motion=replace(decode_motion(members[MOTION]), asked=moved["asked"], ended=Outcome[moved["ended"]])
+            if (moved := meta.get("motion"))
             else None,
             points=field["points"].astype(float) if len(field["points"]) else None,
             grade=Grade(meta["grade"]) if meta["grade"] else None,
@@ -602,6 +613,9 @@ def _decoded_garment(members: Mapping[str, Bytes], fields: Sequence[str]) -> dic
         stored, sections = {**stored, "verts": "verts.z"}, {*sections, "verts"}
     for member in members_of(stored, stored):
         with _reading(member):
+            if member == MOTION:
+                arrays |= _motion_rows(decode_motion(members[member]))
+                continue
             arrays |= unpack(members[member], sections)
             if member == "pattern.z" and "lines" in arrays:
                 arrays = dict(_with_angles(arrays))
@@ -807,6 +821,12 @@ def _provenance(meta: Mapping[str, Any], rejects: Sequence[Mapping[str, Any]]) -
         ),
         body_name=meta["body"],
     )
+
+
+def _motion_rows(motion: GarmentMotion) -> dict[str, np.ndarray]:
+    """The fields of a motion: rows of its frames, one frame after the other."""
+    turns = np.array([pose.array for pose in motion.poses], np.float32)
+    return {"motion_verts": motion.vertices.reshape(-1, 3), "motion_pose": turns.reshape(-1, 3)}
 
 
 def _garment(field: Mapping[str, Any], key: str) -> WornGarment:

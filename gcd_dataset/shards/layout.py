@@ -49,7 +49,7 @@ MOST_GARMENTS = 8
 TRAIN, FAILED = "train", "failed"
 """The default split, and the split of failed drapes."""
 
-CAPTION, MAPS, POSE = "caption.txt", "maps.z", "pose.z"
+CAPTION, MAPS, POSE, MOTION = "caption.txt", "maps.z", "pose.z", "motion.z"
 MOST_VIEWS = 100
 VIEW = re.compile(r"view_(0|[1-9]\d?)\.(jpg|json)")
 
@@ -103,6 +103,7 @@ _ARRAYS: dict[str, tuple[str, ...]] = {
     "points.z": ("points",),
     MAPS: ("stretch", "gap", "pressure"),
     POSE: ("pose",),
+    MOTION: ("motion_verts", "motion_pose"),
 }
 ARRAYS: Mapping[str, tuple[str, ...]] = _ARRAYS | {
     worn_name(number, member): tuple(worn_name(number, field) for field in _ARRAYS[member] if field != "body")
@@ -136,11 +137,12 @@ def garments_layout(
     caption: bool = False,
     maps: bool = False,
     pose: bool = False,
+    motion: bool = False,
     views: int = 0,
     sides: bool = True,
     garments: int = 1,
 ) -> Layout:
-    """The layout of garments; with a caption, maps, a pose, some views, or both ``sides`` as pictures in every sample.
+    """The layout of garments; with a caption, maps, a pose, a motion, some views, or both ``sides`` as pictures.
 
     ``garments``: of the largest outfit.
 
@@ -153,7 +155,7 @@ def garments_layout(
     pictures = [f"view_{number}.{ending}" for number in range(views) for ending in ("jpg", "json")]
     worn = [worn_name(number, member) for number in range(1, garments) for member in WORN]
     texts = (*MEMBERS[:first_array], *([CAPTION] if caption else []), *(m for m in worn if m.endswith(".txt")))
-    own = (*([MAPS] if maps else []), *([POSE] if pose else []))
+    own = [member for member, has in {MAPS: maps, POSE: pose, MOTION: motion}.items() if has]
     arrays = (*MEMBERS[first_array:first_picture], *own, *(m for m in worn if m.endswith(".z")))
     members = (*texts, *arrays, *(MEMBERS[first_picture:] if sides else []), *pictures)
     return Layout("garments", members, "GarmentDataset")
@@ -229,7 +231,7 @@ def member_of(field: str) -> str:
         return worn_name(number, member_of(field))
     if field in FIELDS:
         return FIELDS[field]
-    for member in (MAPS, POSE):
+    for member in (MAPS, POSE, MOTION):
         if field in ARRAYS[member]:
             return member
     return CAPTION if field == "caption" else f"{field.removesuffix('_json')}.{'json' if '_json' in field else 'jpg'}"

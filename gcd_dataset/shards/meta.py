@@ -43,6 +43,11 @@ garments              JSON type  holds                                          
 ``softened``          float      stiffness of the fabric over that in the drape, for
                                  ``pressure``: ``records.Maps``; a key only of recipes with
                                  ``maps``
+``motion``            object     only of recipes with a motion: ``frames``, ``asked`` (ints):      one of -1
+                                 frames in ``motion.z`` and in the whole motion; ``fps``
+                                 (float); ``ended`` (text): SETTLED, or the outcome for which
+                                 it ends early; ``crossings``, for each frame 3 ints as in
+                                 ``drape``
 ``outfit``            objects    only of sets of outfits: an entry for each garment, from the
                                  skin outwards: ``tucked``, ``closed`` (bools), ``pattern``,
                                  ``panel_names``, ``panel_labels``, ``edge_labels``,
@@ -80,7 +85,7 @@ from jaxtyping import Float
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.jsonfile import found, loads
-from gcd_dataset.records import BONES, EASE, BodyShape, Fit, FitLabel, Pose, Rejected
+from gcd_dataset.records import BONES, EASE, BodyShape, Fit, FitLabel, GarmentMotion, Outcome, Pose, Rejected
 from gcd_dataset.shards.layout import LARGEST_JSON, META, SCHEMA, Bytes, key_of
 
 
@@ -106,6 +111,7 @@ NO_STRAIN: Mapping[str, Any] = {"principal": [-1.0, -1.0], "panels": [[-1.0, -1.
 NO_FABRIC: Mapping[str, Any] = {"name": "", "parameters": "{}"}
 NO_LABEL: Mapping[str, Any] = {"rule": "", "reason": "", "figures": "{}"}
 NO_LENGTH = -1.0
+NO_CROSSINGS = [-1, -1, -1]
 NO_LAYER: Mapping[str, Any] = {"inner": -1, "outer": -1, "crossings": -1, "covered": -1, "wrong_order": -1.0}
 
 
@@ -154,6 +160,13 @@ def shape_of(weights: Float[np.ndarray, " k"], entry: Mapping[str, Any]) -> Body
         turns = {bone: tuple(turn) for bone, turn in entry["bones"].items() if any(turn)}
         pose = Pose(turns, entry["name"], entry["cuts"])
     return BodyShape(weights, entry["arm_angle"], entry["legs_apart"], pose)
+
+
+def motion_entry(motion: GarmentMotion) -> dict[str, Any]:
+    """The motion as the entry ``motion``."""
+    crossings = np.asarray(motion.crossings, int).tolist()
+    known = {"frames": len(crossings), "asked": motion.asked, "fps": float(motion.fps), "ended": motion.ended.name}
+    return {**known, "crossings": crossings or [NO_CROSSINGS]}
 
 
 def _broken_rule(broken: Rejected | FitLabel) -> dict[str, Any]:
@@ -205,6 +218,9 @@ def read_meta(data: Bytes) -> dict[str, Any]:
         raise ShardError(f"versions is {found(loaded['versions'])}")
     if "fit" in meta:
         loaded["fit"] = _loaded_fit(meta["fit"])
+    if "motion" in meta:
+        motion = meta["motion"]
+        loaded["motion"] = motion | {"crossings": [each for each in motion["crossings"] if each != NO_CROSSINGS]}
     if "outfit" in meta:
         loaded["outfit"] = [entry | _loaded_garment(entry) for entry in meta["outfit"]]
         loaded["layers"] = [layer for layer in meta["layers"] if layer["inner"] >= 0]
@@ -373,6 +389,8 @@ _LAYER: Mapping[str, Any] = dict.fromkeys(("inner", "outer", "crossings", "cover
 SOMETIMES: Mapping[str, Any] = {
     "fit": _is_fit,
     "softened": _is_number,
+    "motion": {"frames": is_count, "asked": is_count, "fps": _is_number}
+    | {"ended": Outcome.__members__.__contains__, "crossings": [(int, int, int)]},
     "outfit": lambda worn: bool(worn) and _has_form(worn, [{**_WORN, "tucked": bool, "closed": bool}]),
     "layers": [_LAYER],
 }

@@ -9,11 +9,14 @@ from jaxtyping import Int
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.records import MOTION_STEP, POSITION_STEP, GarmentMotion, Pose, as_stored
+from gcd_dataset.records import FPS, MOTION_STEP, POSITION_STEP, GarmentMotion, Pose, as_stored
+from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.sections import Coding, pack, unpack
 
 NAMES = ("faces", "fps", "bones", "turns", "counts", "first")
 FARTHEST = 1e4  # cm
+NO_FRAMES = GarmentMotion(np.zeros((0, 0, 3), np.float32), np.zeros((0, 3), int), (), FPS, np.zeros((0, 3), int))
+"""Of a garment that is not at rest in the first frame."""
 CODINGS = {
     "faces": Coding(3),
     "counts": Coding(1),
@@ -23,7 +26,9 @@ CODINGS = {
 
 
 def encode_motion(motion: GarmentMotion) -> bytes:
-    """The bytes of a ``.motion.z``. Raises ``ShardError`` for positions that are no numbers."""
+    """The bytes of a ``.motion.z``: no sections without frames. Raises ``ShardError`` for positions that are none."""
+    if not motion.poses:
+        return pack({})
     vertices = motion_as_stored(motion.vertices)
     if not np.abs(vertices).max(initial=0.0) < FARTHEST:  # nor NaN
         raise ShardError(f"a garment in motion has a position that is no number below {FARTHEST:g} cm")
@@ -43,10 +48,11 @@ def encode_motion(motion: GarmentMotion) -> bytes:
     return pack(sections | steps, CODINGS)
 
 
-def decode_motion(data: bytes, *, source: str = "motion") -> GarmentMotion:
+def decode_motion(data: Bytes, *, source: str = "motion") -> GarmentMotion:
     """The garment in motion of a ``.motion.z``. Raises ``ShardError``, which names ``source``, for damaged data."""
     try:
-        sections = unpack(data)
+        if not (sections := unpack(data)):
+            return NO_FRAMES
         faces, fps, bones, turns, counts, first = (sections[name] for name in NAMES)
         frames, vertices = len(turns), len(first)
         steps = sections["steps"] if frames > 1 else np.zeros((vertices, 0), np.int32)

@@ -1,7 +1,7 @@
 """The contents of a display of one garment: frozen arrays and texts, the same for every front end."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -17,11 +17,13 @@ from gcd_dataset.records import (
     Body,
     BoxMesh,
     Drape,
+    GarmentMotion,
     Grade,
     Measurements,
     Outcome,
     Outfit,
     Pattern,
+    Pose,
     Record,
     Sample,
 )
@@ -44,6 +46,10 @@ class Content(Record):
     draped: Float[np.ndarray, "v 3"] | None = None
     """Positions at rest [cm], in the order of the mesh."""
     body: Body | None = None
+    motion: GarmentMotion | None = None
+    """The garment on its body in motion; ``draped`` and ``body`` are those of the first frame."""
+    body_motion: Float[np.ndarray, "t w 3"] | None = None
+    """Positions of the body in each frame of ``motion`` [cm]; ``None`` if it is not the motion's."""
     layers: tuple[int, ...] = ()
     """Number of panels of each garment of an outfit, from the skin outwards; the pattern, the mesh and the drape are
     those of all garments."""
@@ -88,6 +94,7 @@ def crossing_vertices(
 def _of_sample(sample: Sample, body: Body | None) -> Content:
     outfit, sample = sample.outfit, joined(sample)
     mesh, drape = sample.box_mesh, sample.drape
+    moving = None if body or not sample.motion or not sample.motion.poses else _moving_body(sample, sample.motion.poses)
     body = body or body_of(sample)
     is_finite = drape is not None and bool(np.isfinite(drape.vertices).all())
     return Content(
@@ -96,6 +103,8 @@ def _of_sample(sample: Sample, body: Body | None) -> Content:
         mesh=mesh,
         draped=drape.vertices if drape is not None and is_finite else None,
         body=body,
+        motion=sample.motion if sample.motion and sample.motion.poses else None,
+        body_motion=moving,
         values=_values(sample) if is_finite else {},
         crossed=_crossed(mesh, drape, body) if is_finite else None,
         caption=sample.caption or "",
@@ -125,6 +134,13 @@ def body_of(sample: Sample) -> Body | None:
         return None if sample.shape is None else build_body(sample.shape, name=sample.provenance.body_name)
     except BodyError:  # weights of another body model
         return None
+
+
+def _moving_body(sample: Sample, poses: Sequence[Pose]) -> Float[np.ndarray, "t w 3"] | None:
+    from gcd_dataset.generator.body import pose_body
+
+    home = None if sample.shape is None else body_of(replace(sample, shape=replace(sample.shape, pose=None)))
+    return None if home is None else np.stack([pose_body(home, pose).vertices for pose in poses])
 
 
 def _of_pattern(pattern: Pattern) -> Content:

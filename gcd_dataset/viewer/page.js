@@ -296,6 +296,35 @@ function setLayers(count) {
   changed();
 }
 
+/** Show a frame of the motion of cloth and body. */
+function setFrame(frame) {
+  const { garment, body } = picture;
+  const frames = Number($("motion").max) + 1;
+  const of = (all, one) => one.map((_, i) => all[3 * (frames * Math.floor(i / 3) + frame) + (i % 3)]);
+  garment.draped = of(garment.motion, garment.draped);
+  if (body && body.motion) picture.moveBody(of(body.motion, body.vertices));
+  $("motion").value = frame;
+  document.body.dataset.frame = frame;
+  setStage(garment.last);
+}
+
+let playing = 0;
+
+/** Play the motion over and over, or stop it. */
+function play() {
+  const from = Number($("motion").value);
+  const frames = Number($("motion").max) + 1;
+  let begun = null;
+  const step = (now) => {
+    begun = begun ?? now;
+    setFrame((from + Math.floor((now - begun) * data.mesh.fps / 1000)) % frames);
+    playing = requestAnimationFrame(step);
+  };
+  if (playing) cancelAnimationFrame(playing);
+  playing = playing ? 0 : requestAnimationFrame(step);
+  $("play").setAttribute("aria-pressed", String(playing > 0));
+}
+
 let moving = 0;
 
 /** Move the slider to a stage over some time, or at once for people who asked for less motion. */
@@ -426,6 +455,13 @@ function prepareControls() {
     });
     setLayers(state.layers);
   }
+  if ($("motion")) {
+    $("motion").addEventListener("input", (event) => {
+      if (playing) play();
+      setFrame(Number(event.target.value));
+    });
+    $("play").addEventListener("click", play);
+  }
   if ($("body")) {
     $("body").addEventListener("change", (event) => {
       state.body = event.target.checked;
@@ -469,7 +505,7 @@ async function start() {
   if (view && SCHEMES.includes(view.scheme)) document.documentElement.dataset.scheme = view.scheme;
   prepareScheme();
   window.gcdPage = {
-    state, setStage, follow, recolour,
+    state, setStage, setFrame, follow, recolour,
     colours: () => data.panels.map((panel) => panel.colour),
     light: (part, silent) => (silent ? quietly(() => light(part)) : light(part)),
   };

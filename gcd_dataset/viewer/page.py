@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from gcd_dataset.curves import signed_area
 from gcd_dataset.generator.lay_plan import PALETTE, PLAIN_EDGE, LayPlan, SheetPanel, lay_out, seam_colour
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.records import BoxMesh, EdgeRef, Outcome, Pattern, Seam
+from gcd_dataset.records import MOTION_STEP, BoxMesh, EdgeRef, GarmentMotion, Outcome, Pattern, Seam
 from gcd_dataset.viewer.content import Content
 from gcd_dataset.viewer.maps import SCALES
 from gcd_dataset.viewer.notebook import asset, inline_svg, picture, script_data, table
@@ -106,7 +106,7 @@ def _view(content: Content) -> str:
         if content.crossed is not None and len(content.crossed)
         else "the cloth crosses neither itself nor the body",
         "stops": "".join(f'<button type="button" data-stage="{i}">{name}</button>' for i, name in enumerate(stages)),
-        "layers": _layers(content) if content.layers else "",
+        "layers": _layers(content) if content.layers else _frames(content.motion) if content.motion else "",
     }
     return _filled(asset("view.html"), parts)
 
@@ -118,6 +118,13 @@ def _layers(content: Content) -> str:
     options = f'min="1" max="{count}" step="1" value="{count}" aria-label="Garments from the skin outwards"'
     bar = f'<input type="range" id="layers" {options}>'
     return f'      <div class="slider">{bar}<div class="stops">{"".join(stops)}</div></div>\n'
+
+
+def _frames(motion: GarmentMotion) -> str:
+    """The slider over the frames of a motion, and the button that plays them."""
+    bar = f'<input type="range" id="motion" max="{len(motion.poses) - 1}" value="0" aria-label="Frame">'
+    button = '<button type="button" id="play" aria-pressed="false">play</button>'
+    return f'      <div class="slider">{bar}<div class="stops">{button}</div></div>\n'
 
 
 def _choice(name: str) -> str:
@@ -164,6 +171,7 @@ def _data(content: Content, plan: LayPlan) -> dict[str, Any]:
         if content.body is None
         else {
             "vertices": _coordinates(content.body.vertices),
+            "motion": None if content.body_motion is None else _moving(content.body_motion),
             "faces": _packed_faces(np.asarray(content.body.faces, np.int32).tobytes()),
         },
     }
@@ -212,6 +220,8 @@ def _mesh_data(content: Content, mesh: BoxMesh, plan: LayPlan) -> dict[str, Any]
         "flat": _coordinates(mesh.uv),
         "placed": _coordinates(mesh.vertices),
         "draped": None if content.draped is None else _coordinates(content.draped),
+        "motion": None if content.motion is None else _moving(content.motion.vertices),
+        "fps": 0.0 if content.motion is None else content.motion.fps,
         "corners": _packed(mesh.corners),
         "vertexOf": _packed(mesh.uv_vertex[:, None]),
         "panelOf": _packed(panel_of[:, None]),
@@ -265,13 +275,18 @@ def _dense(line: Float[np.ndarray, "n 2"], spacing: float = 0.25) -> Float[np.nd
     return np.stack([np.interp(at, along, line[:, 0]), np.interp(at, along, line[:, 1])], axis=1)
 
 
-def _coordinates(points: Float[np.ndarray, "n k"]) -> dict[str, Any]:
+def _moving(frames: Float[np.ndarray, "t v 3"]) -> dict[str, Any]:
+    """All frames of one vertex after the other: neighbouring rows are alike."""
+    return _coordinates(frames.transpose(1, 0, 2).reshape(-1, 3), finest=MOTION_STEP / 2)
+
+
+def _coordinates(points: Float[np.ndarray, "n k"], *, finest: float = 1e-6) -> dict[str, Any]:
     """Points as integers, with offset of each column and step [cm]. Points that are not finite go to the centroid."""
     points = np.asarray(points, float)
     finite = np.isfinite(points).all(axis=1)
     points = np.where(finite[:, None], points, points[finite].mean(axis=0) if finite.any() else 0.0)
     low = points.min(axis=0, initial=np.inf)
-    step = max(float((points - low).max(initial=0.0)) / LEVELS, 1e-6)
+    step = max(float((points - low).max(initial=0.0)) / LEVELS, finest)
     return {**_packed(np.round((points - low) / step).astype(int)), "low": low.tolist(), "step": step}
 
 

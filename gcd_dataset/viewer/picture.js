@@ -118,9 +118,10 @@ class Picture {
     if (body) {
       body.normals = new Float32Array(body.vertices.length);
       normalsOf(body.vertices, body.faces, body.normals);
+      Object.assign(this.buffers, { body: this.buffer(body.vertices), bodyNormal: this.buffer(body.normals) });
       const skin = this.buffer(new Uint8Array(body.vertices.length).fill(255));
       this.skin = this.vertexArray(
-        [[0, this.buffer(body.vertices), 3], [1, this.buffer(body.normals), 3], [2, skin, 3, gl.UNSIGNED_BYTE]],
+        [[0, this.buffers.body, 3], [1, this.buffers.bodyNormal, 3], [2, skin, 3, gl.UNSIGNED_BYTE]],
         this.buffer(body.faces, gl.ELEMENT_ARRAY_BUFFER),
       );
     }
@@ -182,6 +183,13 @@ class Picture {
     this.upload(this.buffers.position, this.garment.positions);
     this.upload(this.buffers.normal, this.garment.normals);
     this.upload(this.buffers.ends, this.garment.ends);
+  }
+
+  moveBody(vertices) {
+    this.body.vertices = vertices;
+    normalsOf(vertices, this.body.faces, this.body.normals);
+    this.upload(this.buffers.body, vertices);
+    this.upload(this.buffers.bodyNormal, this.body.normals);
   }
 
   /** Eye, axes and projection of the camera for the present state. */

@@ -9,6 +9,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 import warp as wp
+from jaxtyping import Int
 
 from gcd_dataset.errors import ConfigError, DrapeError
 from gcd_dataset.generator.body.pose import pose_body
@@ -21,7 +22,8 @@ from gcd_dataset.generator.drape.moving import Motion
 from gcd_dataset.generator.drape.outcome import KEEPS_CROSSINGS, collect
 from gcd_dataset.generator.drape.slots import CoarseEnd, Slots, rooms_of
 from gcd_dataset.generator.dressing.worn import WornCloth
-from gcd_dataset.records import Drape, Outcome, Pose
+from gcd_dataset.records import FPS, Drape, GarmentMotion, Outcome, Pose
+from gcd_dataset.shards.motion import NO_FRAMES, motion_as_stored
 
 Made = TypeVar("Made")
 DEFAULT = DrapeConfig()
@@ -91,7 +93,7 @@ def drape_motion(
     poses: Iterable[Pose],
     config: DrapeConfig = DEFAULT,
     *,
-    fps: float = 30.0,
+    fps: float = FPS,
     device: str = "auto",
 ) -> Iterator[Drape]:
     """One ``Drape`` for each pose that the body takes, ``fps`` a second; the garment is at rest in the first.
@@ -104,17 +106,33 @@ def drape_motion(
     device, numbered = resolve_device(device), iter(poses)
     if (first := next(numbered, None)) is None:
         return
-    [rest] = drape_batch([replace(job, pose=first)], config, device=device)
+    job = replace(job, pose=first)
+    [rest] = drape_batch([job], config, device=device)
     yield rest
+    yield from drape_on(job, rest, numbered, config, fps=fps, device=device)
+
+
+def drape_on(
+    job: DrapeJob,
+    rest: Drape,
+    poses: Iterable[Pose],
+    config: DrapeConfig = DEFAULT,
+    *,
+    fps: float = FPS,
+    device: str = "auto",
+) -> Iterator[Drape]:
+    """The later drapes of ``drape_motion``, from the one in ``job.pose``; none of a garment that is not at rest."""
     if rest.outcome not in KEEPS_CROSSINGS:
         return
+    device, first = resolve_device(device), job.pose
+    assert first is not None
     config = replace(config, untangling_steps=0)
     here = pose_body(job.body, first)
     model = build_model([replace(job, body=here)], config, device)
     slots = Slots(sum(rooms_of(model)), 1, config, device)
     slots.place(model, [CoarseEnd.at_rest(rest.vertices, config.sewing_time + config.held_time, device)])
     slots.move(0, Motion.of([here, here], job.body), ends=False)
-    for pose in numbered:
+    for pose in poses:
         there = pose_body(job.body, pose)
         slots.move_on(0, Motion.of([here, there], job.body), 1.0 / fps)
         for _ in range(slots.solver.moving[0].frames):
@@ -127,6 +145,20 @@ def drape_motion(
         if drape.outcome in (Outcome.DIVERGED, Outcome.FELL, Outcome.SLID_OFF, Outcome.OVERFULL):
             return
         here = there
+
+
+def garment_motion(
+    drapes: Sequence[Drape], faces: Int[np.ndarray, "f 3"], poses: Sequence[Pose], *, fps: float = FPS
+) -> GarmentMotion:
+    """The drapes of ``drape_motion`` as one record, without the last one if it ends the motion early."""
+    ended = Outcome.SETTLED if drapes[-1].outcome in KEEPS_CROSSINGS else drapes[-1].outcome
+    kept = drapes if ended is Outcome.SETTLED else drapes[:-1]
+    motion = replace(NO_FRAMES, fps=fps, asked=len(poses), ended=ended)
+    if not kept:
+        return motion
+    counts = np.array([[d.self_crossings, d.body_crossings, d.body_through] for d in kept])
+    vertices = motion_as_stored(np.stack([d.vertices for d in kept]))
+    return replace(motion, vertices=vertices, faces=faces, poses=tuple(poses[: len(kept)]), crossings=counts)
 
 
 def _at_once(work: Resumable[Made]) -> Made:

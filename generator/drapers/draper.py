@@ -11,7 +11,7 @@ from jaxtyping import Float32, UInt8
 
 from gcd_dataset.generator.views import RenderedView, ViewRequest, finished_view, requested_scene, requested_views
 from gcd_dataset.outfits import joined_mesh
-from gcd_dataset.records import Body, BoxMesh, Drape, Maps, WornGarment
+from gcd_dataset.records import Body, BoxMesh, Drape, GarmentMotion, Maps, Pose, WornGarment
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
@@ -33,6 +33,8 @@ class DrapeRequest:
     """The drawn views to take, if any."""
     maps: bool = False
     """Whether to compute ``DrapeReply.maps``."""
+    motion: tuple[Pose, ...] = ()
+    """The poses that the body takes, from that of ``job`` on, ``FPS`` a second; none for a body that stays."""
     under: tuple[WornGarment, ...] = ()
     """The garments of ``job.under`` that the pictures show too."""
     prepared: "PreparedJob | None" = None
@@ -68,6 +70,7 @@ class DrapeReply:
     views: tuple[RenderedView, ...] = ()
     """The drawn views; none of a diverged drape."""
     maps: Maps | None = None
+    motion: GarmentMotion | None = None
 
 
 class Draper(Protocol):
@@ -107,7 +110,18 @@ def make_reply(request: DrapeRequest, drape: Drape, device: str, *, seconds: flo
         from gcd_dataset.generator.drape import maps_of
 
         maps = maps_of(request.job, drape, device=device)
-    return DrapeReply(request.number, drape, pictures, seconds, _views(request, drape, device), maps)
+    views, motion = _views(request, drape, device), moved(request, drape, device)
+    return DrapeReply(request.number, drape, pictures, seconds, views, maps, motion)
+
+
+def moved(request: DrapeRequest, drape: Drape, device: str) -> GarmentMotion | None:
+    """The motion of a request's garment, whose first frame is ``drape``; ``None`` if its body stays."""
+    if not request.motion:
+        return None
+    from gcd_dataset.generator.drape.drape import drape_on, garment_motion
+
+    later = drape_on(request.job, drape, request.motion[1:], device=device)
+    return garment_motion([drape, *later], request.job.box_mesh.faces, request.motion)
 
 
 def _views(request: DrapeRequest, drape: Drape, device: str) -> tuple[RenderedView, ...]:
@@ -139,6 +153,8 @@ class DrapeWork(Generic[Made]):
     """The drawn views of each job; empty for none."""
     maps: bool = False
     """Whether to compute the maps of the drapes."""
+    motion: tuple[Pose, ...] = ()
+    """See ``DrapeRequest.motion``."""
     under: Sequence[tuple[WornGarment, ...]] = ()
     """The garments under each job, for its pictures; empty for none."""
 
@@ -228,8 +244,10 @@ class _Dispatcher:
             self._job_of[self._next_number] = task, number
             views = task.work.views[number] if task.work.views else None
             under = task.work.under[number] if task.work.under else ()
-            request = DrapeRequest(self._next_number, job, task.work.picture, retry, views, task.work.maps, under)
-            self._draper.send(request)
+            work = task.work
+            self._draper.send(
+                DrapeRequest(self._next_number, job, work.picture, retry, views, work.maps, work.motion, under)
+            )
             self._next_number += 1
         self._finish(task)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gcd_dataset.generator.drape.maps import PendingMaps
-from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
+from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, moved
 from gcd_dataset.generator.render import PendingPictures, Scene, View, garment_scene, start_pictures
 from gcd_dataset.generator.render.plain import SIDES, start_plain
 from gcd_dataset.generator.views import RenderedView, finished_view, requested_scene, requested_views
@@ -37,7 +37,7 @@ class PictureQueue:
     def add(self, request: DrapeRequest, drape: Drape, reply: Callable[[DrapeReply], None]) -> None:
         """Add a draped garment; this call, or a later call of any method, calls ``reply``."""
         if not request.picture and request.views is None and not request.maps:
-            reply(DrapeReply(request.number, drape, None))
+            reply(DrapeReply(request.number, drape, None, motion=moved(request, drape, self._device)))
             return
         if self._pending and _sizes(self._pending[0].request) != _sizes(request):
             self._render()
@@ -77,7 +77,9 @@ class PictureQueue:
         renderings, batch = self._in_flight.popleft()
         results = zip(batch, renderings.pictures(), renderings.views(), renderings.maps(), strict=True)
         for pending, pictures, views, maps in results:
-            pending.reply(DrapeReply(pending.request.number, pending.drape, pictures, views=views, maps=maps))
+            request, drape = pending.request, pending.drape
+            motion = moved(request, drape, self._device)
+            pending.reply(DrapeReply(request.number, drape, pictures, views=views, maps=maps, motion=motion))
 
 
 class _Renderings:

@@ -14,10 +14,10 @@ import pytest
 from PIL import Image
 
 from gcd_dataset.exports.meshes import smooth_normals
-from gcd_dataset.generator.body import named_body
+from gcd_dataset.generator.body import named_body, walk
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.records import Panel, Pattern
+from gcd_dataset.records import GarmentMotion, Panel, Pattern
 from gcd_dataset.viewer.content import Content, content_of
 from gcd_dataset.viewer.page import page_of
 from tests.shards.folders import fake_outfit
@@ -418,5 +418,27 @@ def test_the_layers_of_an_outfit_come_off_from_the_outside(browser: Any, tmp_pat
     blank = views[0][5, 5]
     cloth = [(np.abs(view - blank).max(axis=2) > 40).sum() for view in views]
     assert cloth[0] > cloth[1] > cloth[2]
+    opened.page.context.close()
+    assert opened.faults == []
+
+
+def test_the_frames_of_a_motion_play(browser: Any, tmp_path: Path) -> None:
+    """The slider moves cloth and body to its frame; the button plays on from there, over and over."""
+    sample = fake_sample(3, 1, fineness=3)
+    assert sample.box_mesh and sample.drape
+    rise = 2.0 * np.arange(4)[:, None, None] * [0.0, 1.0, 0.0]
+    vertices = (sample.drape.vertices + rise).astype(np.float32)
+    motion = GarmentMotion(vertices, sample.box_mesh.faces, tuple(walk()[:4]), 30.0, np.zeros((4, 3), int))
+    body, _, _ = named_body("neutral")
+    shown = content_of(replace(sample, motion=motion), body)
+    opened = Opened(browser, replace(shown, body_motion=body.vertices + rise), tmp_path).ready()
+    heights = "() => [gcdPage.picture.garment.positions, gcdPage.picture.body.vertices].map((all) => Math.max(...all))"
+    before = opened.page.evaluate(heights)
+    opened.page.locator("#motion").fill("3")
+    np.testing.assert_allclose(opened.page.evaluate(heights), np.add(before, 6.0), atol=0.1)
+    opened.page.locator("#play").click()
+    opened.page.wait_for_selector("body[data-frame='1']")
+    opened.page.locator("#play").click()
+    assert opened.page.locator("#play").get_attribute("aria-pressed") == "false"
     opened.page.context.close()
     assert opened.faults == []

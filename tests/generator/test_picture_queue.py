@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gcd_dataset.generator.body import walk
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
 from gcd_dataset.generator.drapers.draper import make_reply
@@ -77,6 +78,24 @@ def test_pictures_do_not_wait_for_a_full_batch(jobs: list[DrapeJob]) -> None:
     queue.advance()
     queue.flush()
     assert len(replies) == 1
+
+
+@pytest.mark.parametrize("size", [0, 24])
+def test_a_garment_in_motion_goes_on_from_its_drape(
+    jobs: list[DrapeJob], monkeypatch: pytest.MonkeyPatch, size: int
+) -> None:
+    """With pictures and without."""
+    monkeypatch.setattr(
+        "gcd_dataset.generator.drape.drape.drape_on", lambda _, rest, later, **__: [rest for _ in later]
+    )
+    request = DrapeRequest(7, jobs[0], picture=size, motion=tuple(walk()[:3]))
+    replies: list[DrapeReply] = []
+    queue = PictureQueue("cpu")
+    queue.add(request, at_rest(jobs[0]), replies.append)
+    queue.flush()
+    [reply] = replies
+    assert reply.motion and reply.motion.poses == request.motion
+    assert (reply.pictures is None) == (size == 0)
 
 
 def test_every_garment_gets_its_own_views(monkeypatch: pytest.MonkeyPatch) -> None:

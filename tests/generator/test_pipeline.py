@@ -18,7 +18,7 @@ from PIL import Image
 
 from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
-from gcd_dataset.generator.body import build_body, draw_shape, measure, named_pose, neutral_shape
+from gcd_dataset.generator.body import build_body, draw_shape, measure, named_pose, neutral_shape, walk
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
 from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.garments import Reject, attempted_design, design_from_dict, garment_tags
@@ -29,8 +29,9 @@ from gcd_dataset.generator.pipeline import build_pattern, fit
 from gcd_dataset.generator.recipe import MakeConfig, devices_of, layout_of_samples, recipe_of
 from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Pattern, Sample
 from gcd_dataset.seeding import Stage, rng
-from gcd_dataset.shards.codec import decode_sample, encode_sample
+from gcd_dataset.shards.codec import decode_field, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.layout import key_of
+from tests.generator.body.test_motion import A_POSE, bvh, turns_of
 
 FLAT = MakeConfig(stage="pattern")
 MESHED = MakeConfig(stage="mesh", resolution=8.0, points=64)
@@ -146,6 +147,64 @@ def test_poses_are_drawn_by_seed_and_number_and_change_no_pattern() -> None:
     assert layout_of_samples(standing).members == tuple(encode_sample(first))
 
 
+@pytest.fixture
+def steps(tmp_path: Path) -> MakeConfig:
+    """Short skirts on bodies that walk for three frames."""
+    frames = [turns_of(pose) for pose in walk()[20:23]]
+    (tmp_path / "steps.bvh").write_text(bvh(A_POSE, frames))
+    return replace(DRAPED, picture=0, design=SHORT, poses=str(tmp_path / "steps.bvh"))
+
+
+def test_a_motion_begins_with_the_draped_garment(steps: MakeConfig, tmp_path: Path) -> None:
+    """And goes on with the body; of a file its content decides, wherever it lies, of a gait its name."""
+    sample = make(5, 1, steps)
+    assert sample.motion and sample.drape and sample.shape and sample.shape.pose
+    assert (len(sample.motion.poses), sample.motion.asked, sample.motion.ended) == (3, 3, Outcome.SETTLED)
+    np.testing.assert_array_equal(sample.motion.vertices[0], sample.drape.vertices)
+    assert np.abs(np.diff(sample.motion.vertices, axis=0)).max(axis=(1, 2)).min() > 0.2
+    assert sample.shape.pose.name == "steps, frame 1"
+    members = encode_sample(sample)
+    assert tuple(members) == layout_of_samples(steps).members
+    assert "motion.z" in members and "pose.z" in members
+    stored = decode_sample(members).motion
+    assert stored and (stored.asked, stored.ended) == (3, Outcome.SETTLED)
+    np.testing.assert_array_equal(stored.vertices, sample.motion.vertices)
+    assert members == encode_sample(next(produce(5, [1], steps)))
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/steps.bvh").write_text((tmp_path / "steps.bvh").read_text())
+    assert recipe_of(steps) == recipe_of(replace(steps, poses=str(tmp_path / "other/steps.bvh")))
+    assert recipe_of(replace(steps, poses="walk"))["poses"] == "walk"
+
+
+@pytest.mark.parametrize(("outcomes", "kept"), [(("SETTLED", "FELL"), 2), (("DIVERGED",), 1)])
+def test_a_motion_that_fails_keeps_its_frames(
+    steps: MakeConfig, monkeypatch: pytest.MonkeyPatch, outcomes: tuple[str, ...], kept: int
+) -> None:
+    def fail(job: object, rest: Drape, *_: object, **__: object) -> Iterator[Drape]:
+        yield from (replace(rest, outcome=Outcome[name]) for name in outcomes)
+
+    monkeypatch.setattr("gcd_dataset.generator.drape.drape.drape_on", fail)
+    meta = decode_field("meta", encode_sample(make(5, 1, steps)))
+    assert meta["drape"]["outcome"] == "SETTLED"
+    told = {"frames": kept, "asked": 3, "fps": 30.0, "ended": outcomes[-1]}
+    assert meta["motion"] == told | {"crossings": [[0, 0, 0]] * kept}
+
+
+def test_a_garment_that_never_rests_has_no_frames(steps: MakeConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has the members and types of all others."""
+    monkeypatch.setattr("gcd_dataset.generator.drape.batches.best_of", lambda drapes: fallen(drapes[-1]))
+    sample = make(5, 1, replace(steps, on_fail="keep"))
+    members = encode_sample(sample)
+    assert decode_fields(members, ["motion_verts"])["motion_verts"].shape == (0, 3)
+    assert json.loads(members["meta.json"])["motion"]["crossings"] == [[-1, -1, -1]]
+    stored = decode_sample(members).motion
+    assert stored and (stored.poses, stored.asked, stored.ended) == ((), 3, Outcome.FELL)
+
+
+def fallen(drape: Drape) -> Drape:
+    return replace(drape, outcome=Outcome.FELL)
+
+
 def test_pictures_and_maps_show_the_body_in_its_pose(tmp_path: Path) -> None:
     """Arms are level; a long sleeve stays near the skin. Of a file its content decides, wherever it lies."""
     level = {"shoulder": [0, 8, 0], "upper_arm": [0, 37, 0]}
@@ -171,11 +230,12 @@ def test_pictures_and_maps_show_the_body_in_its_pose(tmp_path: Path) -> None:
     [
         ({"stage": "mesh"}, "poses are of a drape, and stage mesh drapes nothing"),
         ({"outfits": "everyday"}, "poses are for single garments"),
+        ({"outfits": "everyday", "poses": "walk"}, "poses are for single garments"),
     ],
 )
 def test_poses_that_no_drape_has_are_refused(options: dict, told: str) -> None:
     with pytest.raises(ConfigError, match=told):
-        replace(DRAPED, poses="standing", **options)
+        replace(DRAPED, **{"poses": "standing", **options})
 
 
 def test_random_wearers_are_women_and_men_named_by_their_sex() -> None:
@@ -244,9 +304,10 @@ class Failing:
         self.replies.clear()
 
 
-def test_a_draper_that_makes_no_maps_is_named() -> None:
-    with pytest.raises(DrapeError, match=r"the draper made no maps: .* where DrapeRequest.maps is set"):
-        next(produce(5, [0], replace(DRAPED, picture=0, maps=True), draper=Failing(0)))
+@pytest.mark.parametrize(("options", "told"), [({"maps": True}, "maps"), ({"poses": "walk"}, "motion")])
+def test_a_draper_that_makes_less_than_it_is_asked_for_is_named(options: dict, told: str) -> None:
+    with pytest.raises(DrapeError, match=rf"the draper made no {told}: .* where DrapeRequest.{told} is set"):
+        next(produce(5, [0], replace(DRAPED, picture=0, **options), draper=Failing(0)))
 
 
 def test_failed_drapes_raise_the_number_of_attempts() -> None:
