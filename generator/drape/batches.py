@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from gcd_dataset.generator.device import Resumable, WorkStream, keep_freed_memory, launch_lock, work_streams
-from gcd_dataset.generator.drape.body_field import HostField, host_field
+from gcd_dataset.generator.drape.body_field import BodyField, HostField, host_field
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING, STOPPED
@@ -73,6 +73,8 @@ class Pass:
     """The drape before the body moved to its pose, once it does."""
     earlier: tuple[Drape, ...] = ()
     """The drapes of the garment before this pass, none of them free of crossings."""
+    body: BodyField | None = None
+    """The field of the last pass, kept in use for the next."""
     room_factor: int = 1
     """Factor of its room for contacts: doubled whenever a list has run over."""
 
@@ -408,6 +410,7 @@ class Lane:
                 self._renew(new)
             assert self._slots is not None
             worlds = self._slots.place(new, [each.start for each in chosen]) if self._slots.suits(new) else []
+            chosen = [replace(each, body=body) for each, body in zip(chosen, new.bodies, strict=True)]
         if len(worlds) < len(chosen):
             self.synchronize()  # dropped bodies free their meshes at once; else ``refresh_bvh`` waits for the fields
         self._passes |= dict(zip(worlds, chosen, strict=False))

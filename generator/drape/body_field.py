@@ -11,7 +11,7 @@ from collections import Counter, OrderedDict
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -24,6 +24,9 @@ from gcd_dataset.generator.body.surface import kept_per_body
 from gcd_dataset.generator.device import native_builds
 from gcd_dataset.generator.drape.kernels.field import BLOCK, LID, Hull, Voxels, add_hulls, fill_fields, measure_blocks
 from gcd_dataset.records import Body, BodyPart
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.drape.dressed import WornGarments
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
 BAND = 4.0  # cm outside the skin in which distances are exact
@@ -81,10 +84,8 @@ class BodyField:
     """(e) vertices of ``mesh`` at the ends of each edge of the skin; without edges of the lids."""
     face_parts: wp.array
     """(g) the part of each face of ``mesh``, see ``HostField.parts``."""
-    worn: tuple[tuple[wp.Mesh, wp.array], ...] = ()
-    """The garments on the body, each as a mesh and the vertices at the ends of its edges; see ``dressed``."""
-    worn_ids: wp.array | None = None
-    """The identifiers of the meshes of ``worn``."""
+    worn: "WornGarments | None" = None
+    """The garments on the body."""
 
 
 def body_field(body: Body, device: str) -> BodyField:

@@ -14,7 +14,7 @@ import warp as wp
 from gcd_dataset.generator.device import to_host
 from gcd_dataset.generator.drape.body_field import AXES, BodyField, HostField, body_fields
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.dressed import dressed
+from gcd_dataset.generator.drape.dressed import MOST_GAP, dressed_fields
 from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, NOT_COUNTED
@@ -112,10 +112,8 @@ def build_model(
     cloth = _cloth(constraints, config, topology, _inertia(topology, steps, device), device)
     # After the reads and large copies above: those would wait until the fields are filled.
     naked = body_fields([job.body for job in jobs], device, fields)
-    gaps = [WORN_GAP * float(length) for length in lengths]
-    bodies = [
-        dressed(body, job.under, gap) if job.under else body for body, job, gap in zip(naked, jobs, gaps, strict=True)
-    ]
+    gaps = [min(WORN_GAP * float(length), MOST_GAP) for length in lengths]
+    bodies = dressed_fields(naked, [job.under for job in jobs], gaps)
     times = sewing_times or [config.sewing_time] * len(jobs)
     worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0, times[k]) for k, job in enumerate(jobs)]
     for k, (world, median) in enumerate(zip(worlds, medians, strict=True)):
@@ -130,8 +128,8 @@ def build_model(
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)
         world.field_cell, world.face_parts = body.cell, body.face_parts
-        if body.worn_ids is not None:
-            world.worn, world.worn_gap = body.worn_ids, gap
+        if body.worn is not None:
+            world.worn, world.worn_gap = body.worn.ids, gap
     cloth.axes = wp.array(np.concatenate([body.axes for body in bodies]), dtype=wp.vec3, device=device)
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
     cloth.skin_lag = wp.zeros(len(jobs), dtype=float, device=device)

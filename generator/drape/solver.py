@@ -161,7 +161,8 @@ class Solver:
             return self._skins
         skins = []
         for w, body in enumerate(self.model.bodies):
-            for mesh, ends in ((body.mesh, body.edges), *body.worn) if body else ():
+            worn = body.worn.meshes if body and body.worn else ()
+            for mesh, ends in ((body.mesh, body.edges), *worn) if body else ():
                 skin = crossing.SkinEdges()
                 skin.world, skin.mesh, skin.ends = w, mesh.id, ends
                 skins.append(skin)

@@ -148,70 +148,141 @@ def add_hulls(hulls: wp.array(dtype=Hull), cell: float):
     hull.distance[at[0], at[1], at[2]] = wp.min(hull.distance[at[0], at[1], at[2]], distance)
 
 
+@wp.struct
+class WornVoxels:
+    """The voxels of one body round a garment that it wears; its garments share ``distance`` and ``part``."""
+
+    skin: wp.uint64
+    face_parts: wp.array(dtype=wp.uint8)
+    """See ``Voxels``."""
+    body: wp.array3d(dtype=float)
+    """``Voxels.distance``."""
+    first: wp.vec3i
+    """The voxel at the first voxel of ``body``."""
+    mesh: wp.uint64
+    """The garment."""
+    points: wp.array(dtype=wp.vec3)
+    """Its vertices [cm]."""
+    parts: wp.array(dtype=wp.uint8)
+    """The body part that each vertex covers."""
+    low: wp.vec3
+    """Centre of the first voxel [cm]."""
+    blocks: wp.array3d(dtype=float)
+    """Signed distance of each block's centre from the garment [cm]."""
+    distance: wp.array3d(dtype=float)
+    """Signed distance of each voxel's centre from the nearest garment [cm], where it may lie nearer than the skin."""
+    part: wp.array3d(dtype=wp.uint8)
+    """Body part that the nearest garment covers there, with ``ON_CLOTH``."""
+
+
+@wp.struct
+class DressedVoxels:
+    """The voxels of a body over which a garment is put on."""
+
+    body: wp.array3d(dtype=float)
+    body_part: wp.array3d(dtype=wp.uint8)
+    first: wp.vec3i
+    """The voxel at the first voxel of ``body``."""
+    cloth: wp.array3d(dtype=float)
+    cloth_part: wp.array3d(dtype=wp.uint8)
+    gap: float
+    """By how much the garments on the body are thicker [cm]."""
+    distance: wp.array3d(dtype=float)
+    part: wp.array3d(dtype=wp.uint8)
+
+
+@wp.func
+def is_voxel_of(field: wp.array3d(dtype=float), at: wp.vec3i) -> bool:
+    """Whether a field has a voxel with this index."""
+    if at[0] < 0 or at[1] < 0 or at[2] < 0:
+        return False
+    return at[0] < field.shape[0] and at[1] < field.shape[1] and at[2] < field.shape[2]
+
+
 @wp.kernel
-def find_parts(
-    body: wp.uint64,
-    face_parts: wp.array(dtype=wp.uint8),
-    arms: int,
-    points: wp.array(dtype=wp.vec3),
-    # in and out
-    parts: wp.array(dtype=wp.uint8),
-):
+def find_parts(worn: wp.array(dtype=WornVoxels), arms: int):
     """Name the part of the arm at each vertex of a sleeve, such as the forearm; ``arms``: bit set of these parts."""
-    i = wp.tid()
-    if ((arms >> int(parts[i])) & 1) == 0:
+    k, i = wp.tid()
+    cloth = worn[k]
+    if i >= cloth.parts.shape[0] or ((arms >> int(cloth.parts[i])) & 1) == 0:
         return
-    near = wp.mesh_query_point_no_sign(body, points[i], UNLIMITED)
+    near = wp.mesh_query_point_no_sign(cloth.skin, cloth.points[i], UNLIMITED)
     if near.result:
-        part = int(face_parts[near.face]) & (LID - 1)
+        part = int(cloth.face_parts[near.face]) & (LID - 1)
         if ((arms >> part) & 1) != 0:
-            parts[i] = wp.uint8(part)
+            cloth.parts[i] = wp.uint8(part)
 
 
 @wp.kernel
-def measure_cloth_blocks(
-    cloth: wp.uint64,
-    low: wp.vec3,
-    cell: float,
-    # out
-    blocks: wp.array3d(dtype=float),
-):
-    """The distance of each block's centre from the cloth [cm], negative inside."""
-    i, j, k = wp.tid()
-    middle = wp.vec3(float(i), float(j), float(k)) + wp.vec3(0.5 - 0.5 / float(BLOCK))
-    p = low + (cell * float(BLOCK)) * middle
-    near = wp.mesh_query_point_sign_winding_number(cloth, p, UNLIMITED)
-    blocks[i, j, k] = near.sign * wp.length(p - wp.mesh_eval_position(cloth, near.face, near.u, near.v))
-
-
-@wp.kernel
-def lower_to_cloth(
-    cloth: wp.uint64,
-    parts: wp.array(dtype=wp.uint8),
-    low: wp.vec3,
-    cell: float,
-    gap: float,
-    blocks: wp.array3d(dtype=float),
-    # in and out
-    distance: wp.array3d(dtype=float),
-    part: wp.array3d(dtype=wp.uint8),
-):
-    """Lower ``distance`` to the signed distance from worn cloth less ``gap``; ``part``: with ``ON_CLOTH``."""
-    i, j, k = wp.tid()
-    middle = blocks[i // BLOCK, j // BLOCK, k // BLOCK]
-    reach = wp.abs(middle) + HALF_BLOCK * cell
-    if middle - HALF_BLOCK * cell - gap > distance[i, j, k] or distance[i, j, k] < UNDER_SKIN:
+def measure_cloth_blocks(worn: wp.array(dtype=WornVoxels), cell: float):
+    """Fill ``WornVoxels.blocks``."""
+    k, number = wp.tid()
+    cloth = worn[k]
+    at = unravel_index(number, cloth.blocks.shape[1], cloth.blocks.shape[2])
+    if at[0] >= cloth.blocks.shape[0]:
         return
-    p = low + cell * wp.vec3(float(i), float(j), float(k))
+    middle = wp.vec3(float(at[0]), float(at[1]), float(at[2])) + wp.vec3(0.5 - 0.5 / float(BLOCK))
+    p = cloth.low + (cell * float(BLOCK)) * middle
+    near = wp.mesh_query_point_sign_winding_number(cloth.mesh, p, UNLIMITED)
+    away = wp.length(p - wp.mesh_eval_position(cloth.mesh, near.face, near.u, near.v))
+    cloth.blocks[at[0], at[1], at[2]] = near.sign * away
+
+
+@wp.kernel
+def lower_to_cloth(worn: wp.array(dtype=WornVoxels), cell: float, band: float, most_gap: float):
+    """Lower ``WornVoxels.distance`` to the signed distance from a garment; ``most_gap``: of ``DressedVoxels`` [cm].
+
+    ``number`` counts as in ``fill_fields``.
+    """
+    k, number = wp.tid()
+    cloth = worn[k]
+    in_block = unravel_index(number % (BLOCK * BLOCK * BLOCK), BLOCK, BLOCK)
+    block_at = unravel_index(number // (BLOCK * BLOCK * BLOCK), cloth.blocks.shape[1], cloth.blocks.shape[2])
+    at = BLOCK * block_at + in_block
+    if not is_voxel_of(cloth.distance, at):
+        return
+    middle = cloth.blocks[block_at[0], block_at[1], block_at[2]]
+    skin = band
+    in_field = at - cloth.first
+    if is_voxel_of(cloth.body, in_field):
+        skin = cloth.body[in_field[0], in_field[1], in_field[2]]
+    least = wp.min(skin, cloth.distance[at[0], at[1], at[2]])
+    if middle - HALF_BLOCK * cell - most_gap > least or least < UNDER_SKIN:
+        return
+    p = cloth.low + cell * wp.vec3(float(at[0]), float(at[1]), float(at[2]))
+    reach = wp.abs(middle) + HALF_BLOCK * cell
     sign = wp.sign(middle)
     if reach > 2.0 * HALF_BLOCK * cell:  # no cloth lies in the block
-        near = wp.mesh_query_point_no_sign(cloth, p, reach + ROUNDING)
+        near = wp.mesh_query_point_no_sign(cloth.mesh, p, reach + ROUNDING)
     else:
-        near = wp.mesh_query_point_sign_winding_number(cloth, p, reach + ROUNDING)
+        near = wp.mesh_query_point_sign_winding_number(cloth.mesh, p, reach + ROUNDING)
         sign = near.sign
     if not near.result:
         return
-    away = sign * wp.length(p - wp.mesh_eval_position(cloth, near.face, near.u, near.v)) - gap
-    if away < distance[i, j, k]:
-        distance[i, j, k] = away
-        part[i, j, k] = wp.uint8(int(parts[wp.mesh_get_index(cloth, 3 * near.face)]) | ON_CLOTH)
+    away = sign * wp.length(p - wp.mesh_eval_position(cloth.mesh, near.face, near.u, near.v))
+    if away < cloth.distance[at[0], at[1], at[2]]:
+        cloth.distance[at[0], at[1], at[2]] = away
+        part = int(cloth.parts[wp.mesh_get_index(cloth.mesh, 3 * near.face)])
+        cloth.part[at[0], at[1], at[2]] = wp.uint8(part | ON_CLOTH)
+
+
+@wp.kernel
+def dress_fields(bodies: wp.array(dtype=DressedVoxels), band: float):
+    """Fill ``distance`` and ``part``: of the skin, or of the garments less ``gap`` where these are nearer."""
+    b, number = wp.tid()
+    body = bodies[b]
+    at = unravel_index(number, body.distance.shape[1], body.distance.shape[2])
+    if at[0] >= body.distance.shape[0]:
+        return
+    skin = band
+    part = wp.uint8(0)
+    in_field = at - body.first
+    if is_voxel_of(body.body, in_field):
+        skin = body.body[in_field[0], in_field[1], in_field[2]]
+        part = body.body_part[in_field[0], in_field[1], in_field[2]]
+    away = body.cloth[at[0], at[1], at[2]] - body.gap
+    if away < skin and skin >= UNDER_SKIN:
+        skin = away
+        part = body.cloth_part[at[0], at[1], at[2]]
+    body.distance[at[0], at[1], at[2]] = skin
+    body.part[at[0], at[1], at[2]] = part
