@@ -52,7 +52,7 @@ class Config:
     )
     weights: str = option("", "weights.pt to begin from; the moments of the optimiser beside it are taken, too")
     smoke: bool = option(default=False, text="few coarse garments and a tiny network, for two cores")
-    steps: int = option(0, "optimiser steps; 0: as many as --minutes allows")
+    steps: int = option(0, "optimiser steps; 0: as many as --minutes allows; with --weights none, these are tested")
     minutes: float = option(0.0, f"time of the steps alone; {MINUTES:g} without --steps")
     batch: int = option(256, "garments of a step, of all ranks together")
     lr: float = option(5e-4, "highest learning rate: linear warm-up, then half a cosine")
@@ -70,7 +70,7 @@ class Config:
             low = -1 if name == "workers" else 0
             if isinstance(value, int | float) and not low <= value < math.inf:
                 raise ConfigError(f"--{name.replace('_', '-')} {value}: give {low} or more")
-        if bool(self.steps) == bool(self.minutes):
+        if bool(self.steps) == bool(self.minutes) and (self.steps or not self.weights):
             raise ConfigError(f"--steps {self.steps} --minutes {self.minutes:g}: give one of them, above 0")
         if not (self.lr and self.batch and self.log_every) or max(self.ema, self.warm_up) >= 1:
             given = f"--lr {self.lr:g} --batch {self.batch} --log-every {self.log_every}"

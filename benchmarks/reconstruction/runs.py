@@ -235,8 +235,8 @@ def answered(
         "minutes": trained.seconds / 60 if trained else 0.0,
         "train_s": trained.seconds if trained else 0.0,
         "parameters": sum(p.numel() for p in trained.learner.parameters()) if trained else 0,
-        "first_loss": trained.curve[0]["loss"] if trained else None,
-        "last_loss": trained.curve[-1]["loss"] if trained else None,
+        "first_loss": trained.curve[0]["loss"] if trained and trained.curve else None,
+        "last_loss": trained.curve[-1]["loss"] if trained and trained.curve else None,
         **({"weights_sha256": hashlib.sha256(Path(config.out, WEIGHTS).read_bytes()).hexdigest()} if trained else {}),
         **{name: round(value, 2) for name, value in times.items()},
         **(trained.learner.tables(split, config, out, workers=workers) if trained else {}),
@@ -255,7 +255,7 @@ def _card(report: Mapping[str, Any], config: Config) -> str:
         "minutes": (config.minutes or round(report["minutes"], 1)) * bool(report["steps"]),
         "weights": report["parameters"],
         "hardware": f"{report['ranks']} × {report['device']}",
-        "baseline": not report["steps"],
+        "baseline": not report["parameters"],
     }
     return "".join(f"{name} = {json.dumps(value, ensure_ascii=False)}\n" for name, value in entries.items())
 

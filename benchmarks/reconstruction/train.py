@@ -147,7 +147,7 @@ class _State:
         """Share of the training that is done."""
         if self.config.steps:
             return self.step / self.config.steps
-        return self.seconds / (60.0 * self.config.minutes)
+        return self.seconds / (60.0 * self.config.minutes) if self.config.minutes else 1.0
 
     def take_step(self, examples: Examples[Any]) -> None:
         if hasattr(examples, "advance"):  # a pool that fresh garments renew

@@ -212,6 +212,18 @@ def test_garments_of_a_folder_are_trained_on(
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["data"]["train"]["recipe"]["source"] == str(tmp_path / "garments")
     assert report["data"]["train"]["count"] == 3
+    tested = [
+        *flags,
+        "--steps",
+        "0",
+        "--weights",
+        str(tmp_path / "out" / "weights.pt"),
+        "--out",
+        str(tmp_path / "test"),
+    ]
+    assert main(tested) == 0
+    again = json.loads((tmp_path / "test" / "report.json").read_text())
+    assert (again["scores"], again["steps"]) == (report["scores"], 0)
     assert main([*flags, "--resolution", "6"]) == 1
     assert "--resolution 6: the garments of --source are made" in capsys.readouterr().err
     assert main([*flags, "--task", "T1"]) == 1
@@ -225,6 +237,7 @@ def test_garments_of_a_folder_are_trained_on(
         (["--task", "T4"], "panel_set does not answer T4: give --task T0, T1"),
         (["--set", "width"], "--set width: give NAME=NUMBER"),
         (["--steps", "3", "--minutes", "1"], "give one of them"),
+        (["--steps", "0"], "give one of them"),
         (["--steps", "3", "--minutes", "nan"], "--minutes nan: give 0 or more"),
         (["--minutes", "inf"], "--minutes inf: give 0 or more"),
         (["--log-every", "0"], "--log-every 0 --ema 0.999 --warm-up 0.05: give the first three above 0"),
