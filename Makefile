@@ -6,6 +6,7 @@
 #                   carry out the examples of CONTRIBUTING.md, run the long tests beside the others,
 #                   try 60 inputs instead of 20 in each test of properties, and import a garment into Blender
 # make docs         write the documentation into site/
+# make release      rehearse a release: build, install on each Python that is there, publish to a stand-in; see dist/
 # make fuzz N=10000  give every reader of files N damaged inputs, and print what came of them
 # make lint         format and lint in place
 
@@ -30,7 +31,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # A process a core, of one thread each; more than eight would have too little memory to themselves.
 SHARED_OUT := --numprocesses logical --maxprocesses 8 --dist worksteal
 
-.PHONY: demo test test-extras docs fuzz lint
+.PHONY: demo test test-extras docs release fuzz lint
 
 demo: $(INSTALLED)
 	$(BIN)/gcd generate demo/garments --count 8 --seed 4 --bodies both --device cpu --resolution 2 --picture 384
@@ -48,6 +49,9 @@ test-extras: $(EXTRAS_INSTALLED) $(BLENDER_INSTALLED)
 
 docs: $(DOCS_INSTALLED)
 	$(BIN)/mkdocs build --strict
+
+release: $(INSTALLED)
+	$(BIN)/python -m tools.release
 
 fuzz: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz.campaign --examples $(N)

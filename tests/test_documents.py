@@ -25,6 +25,7 @@ from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.layout import FIELDS
 from gcd_dataset.shards.meta import GARMENT, SOMETIMES
 from gcd_dataset.shards.sections import unpack
+from tools import release
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -56,12 +57,12 @@ def test_a_changed_report_makes_the_table_stale(monkeypatch: pytest.MonkeyPatch,
         (tmp_path / path.name).write_text(
             re.sub(r"(?m)^\| drape\.clean \| \S+ ", "| drape.clean | 0.5 ", path.read_text())
         )
-    before = figures.short_figures()
+    before = figures.figures_table()
     monkeypatch.setattr(figures, "REPORTS", tmp_path)
     read_report.cache_clear()
     try:
-        assert "50.0 % of " in figures.short_figures()
-        assert figures.short_figures() != before
+        assert "50.0 % of " in figures.figures_table()
+        assert figures.figures_table() != before
         (tmp_path / "scale.md").write_text("# scale\n")
         read_report.cache_clear()
         with pytest.raises(StaleError, match=r"scale\.md has no figure"):
@@ -79,7 +80,7 @@ def test_every_figure_has_a_command_and_hardware() -> None:
 
 def test_the_readme_is_short_and_names_its_limits() -> None:
     text = (ROOT / "README.md").read_text()
-    assert len(text.splitlines()) < 120
+    assert len(text.splitlines()) <= 90
     assert len(text.split()) < 1200
     assert "make demo" in text
     assert "make test" in text
@@ -91,6 +92,14 @@ def test_links_to_files_lead_to_files(page: Path) -> None:
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     files = [target.partition("#")[0] for target in LINK.findall(text) if "://" not in target]
     assert [file for file in files if file and not (page.parent / file).exists()] == []
+
+
+def test_the_notes_of_a_release_are_the_newest_section_of_the_changelog() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text()
+    first, _, rest = release.notes().partition("\n")
+    assert first == re.findall(r"^## .*", text, re.MULTILINE)[0]
+    assert rest.strip() in text
+    assert "\n## " not in rest
 
 
 def test_links_to_headings_of_the_readme_lead_to_headings() -> None:

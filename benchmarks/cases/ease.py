@@ -2,7 +2,7 @@
 
     python -m benchmarks.run ease --device cpu --resolution 2 --keep
 
-One garment of each design of the recipe ``fits-draft``, cut up to three sizes too small or too large; those that
+One garment of each design of the recipe ``fits``, cut up to three sizes too small or too large; those that
 settle count. In the plane of each landmark the case looks for the shortest ring of the drape round the body, apart from
 ``ease_of``, and uses nothing of cloth as cut.
 
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> CaseResult:
     """Drape the garments, and measure their rings."""
-    recipe = find_recipe("fits-draft").config
+    recipe = find_recipe("fits").config
     config = replace(recipe, bodies_each=1, device=options.device, resolution=options.resolution)
     made = [prepare(options.seed, number, config) for number in range(options.count)]
     worn = [(design, job) for design in made for job in drape_jobs(design, config)]

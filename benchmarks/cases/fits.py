@@ -2,7 +2,7 @@
 
     python -m benchmarks.run fits --count 5000 --device cuda:0 --workers 15 --sheet fits.jpg
 
-The garments are those of the recipe ``fits-draft``, with pictures, maps and ease, written to a temporary folder.
+The garments are those of the recipe ``fits``, with pictures, maps and ease, written to a temporary folder.
 ``right``: the share that settled, or whose outcome says how it does not fit: slid off or cannot be put on, being cut
 too large or labelled so; overstretched or cannot be put on, being cut too small or labelled so. ``clean``: the share of
 those put on that settled without a crossing edge of any kind. ``recipe_hours`` and ``recipe_kwh`` are of the
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> CaseResult:
     """Make garments of the recipe, then the sheet."""
-    recipe = find_recipe("fits-draft")
+    recipe = find_recipe("fits")
     config = replace(recipe.config, device=options.device, resolution=options.resolution, fabric=options.fabric)
     by_step: defaultdict[int, Counter[str]] = defaultdict(Counter)
 

@@ -73,7 +73,7 @@ class Figure:
     command: str = ""
     """Command, for a report that does not state it."""
     short: bool = False
-    """Whether the README shows it too."""
+    """Whether the README shows it, too."""
 
 
 def _share(figure: str) -> Callable[[Report], str]:
@@ -120,7 +120,6 @@ FIGURES = (
         "sampled garments of all kinds that settle without a single crossing edge, at 1 cm",
         "drape_sampled",
         lambda r: f"{100 * r.value('drape.clean'):.1f} % of {r.value('drape.garments'):,.0f}",
-        short=True,
     ),
     Figure("the same, of grade `clean`: no panel overstretched either", "drape_sampled", _share("drape.grade_clean")),
     Figure(
@@ -156,10 +155,9 @@ FIGURES = (
             f"{r.value('drape.s_per_garment'):.4f} s, and "
             f"{r.value('drape.coarse_mesh_s_per_garment'):.3f} CPU-s for the coarse mesh"
         ),
-        short=True,
     ),
     Figure(
-        "50 sampled garments in one batch, set-up and coarse meshes included",
+        "draping 50 sampled garments in one batch, set-up and coarse meshes included",
         "drape_peer",
         lambda r: (
             f"{r.value('drape.ours_setup_s_batch_50') + r.value('drape.ours_solve_s_batch_50'):.3f} s each; "
@@ -176,7 +174,6 @@ FIGURES = (
             f"{100 * r.value('drape.clean'):.1f} % settle without a crossing edge"
         ),
         lambda r: "GarmentCodeData's own drapes: 72 % pass its limits (Korosteleva et al., ECCV 2024)",
-        short=True,
     ),
     Figure(
         "GarmentCode's 12 patterns for its mean body, at 1 cm, that settle",
@@ -186,7 +183,10 @@ FIGURES = (
     Figure(
         "finished garments with rendered pictures written into shards, on two bodies",
         "scale",
-        lambda r: f"{r.value('scale.garments_per_s'):.1f} a second, {r.value('scale.joules'):.1f} J each",
+        lambda r: (
+            f"{r.value('scale.garments_per_s'):.1f} a second, {r.value('scale.joules'):.1f} J each: "
+            f"{round(3.6 * r.value('scale.garments_per_s'))},000 an hour"
+        ),
         lambda r: (
             f"one draping process without pictures: {r.value('scale.own_per_s'):.1f} a second; "
             f"GPU idle {100 * r.value('scale.gpu_waits'):.0f} % of the time"
@@ -209,7 +209,6 @@ FIGURES = (
             "a small network trains on that GPU"
         ),
         lambda r: f"one draping process: {r.value('generated.own_per_second'):.1f} a second",
-        short=True,
     ),
     Figure(
         "rendered pictures with materials, soft shadows and all truths, 4 views of each garment",
@@ -218,7 +217,6 @@ FIGURES = (
             f"{r.value('render.images_per_s'):.0f} a second of 256², {r.value('render.images_per_s_512'):.0f} of 512²"
         ),
         lambda r: f"Embree, silhouettes: {100 * r.value('render.mask_agreement'):.0f} % of pixels agree",
-        short=True,
     ),
     Figure(
         "sampling a design that fits two bodies, both patterns drawn and checked",
@@ -228,7 +226,6 @@ FIGURES = (
             f"GarmentCode's sampler: {100 * read_report('design_space').value('design_space.reference_accepted'):.0f} "
             "% accepted ([report](../benchmarks/reports/design_space.md))"
         ),
-        short=True,
     ),
     Figure(
         "our patterns against GarmentCode's, from the same designs and measures",
@@ -258,7 +255,7 @@ FIGURES = (
     ),
     Figure(
         "loading geometry of 11,500 vertices, batches of 16, random order",
-        "loaders", _loading("geometry"), _other_loaders("geometry"), short=True,
+        "loaders", _loading("geometry"), _other_loaders("geometry"),
     ),
     Figure(
         "first pass in random order over geometry in S3, empty cache", "remote",
@@ -276,29 +273,39 @@ FIGURES = (
     ),
 )  # fmt: skip
 """The rows, in order."""
+BOARD = (
+    "| seams of patterns whose panels are given (T3): garments with all seams right | "
+    "79.0 % of 500 unseen ones ([task](docs/reconstruction.md)) | AutoSew: 73.3 % of its own test set |"
+)
+"""The row of the scoreboard."""
 
 
 def figures_table() -> str:
     """All figures, for a document in ``docs/``."""
-    return _table(FIGURES, "../benchmarks/reports")
+    lines = ["| what | figure | beside | on | command |", "|---|---|---|---|---|"]
+    for figure in FIGURES:
+        report = read_report(figure.report)
+        command = figure.command or report.fact("command").strip("`")
+        where = f"{_hardware(figure)}, [report](../benchmarks/reports/{figure.report}.md)"
+        cells = [figure.what, figure.value(report), figure.beside(report), where]
+        lines.append(f"| {' | '.join(cells)} | `{_shortened(command)}` |")
+    return "\n".join(lines)
 
 
 def short_figures() -> str:
-    """The figures of the README."""
-    return _table([figure for figure in FIGURES if figure.short], "benchmarks/reports")
+    """Some figures, for the README, and the scoreboard's."""
+    lines = ["| what | figure | beside |", "|---|---|---|"]
+    for figure in FIGURES:
+        if figure.short:
+            report = read_report(figure.report)
+            where = f"{_hardware(figure)}, [report](benchmarks/reports/{figure.report}.md)"
+            lines.append(f"| {figure.what} | {figure.value(report)} ({where}) | {figure.beside(report)} |")
+    return "\n".join([*lines, BOARD])
 
 
-def _table(figures: tuple[Figure, ...] | list[Figure], folder: str) -> str:
-    lines = ["| what | figure | beside | on | command |", "|---|---|---|---|---|"]
-    for figure in figures:
-        report = read_report(figure.report)
-        beside = figure.beside(report).replace("../benchmarks/reports", folder)
-        hardware = figure.on or report.fact("hardware").replace("1 CPU threads (x86_64)", "one CPU core")
-        hardware = hardware.removeprefix("one CPU core, ").replace(" (x86_64)", "").replace(", 1 threads of torch", "")
-        command = figure.command or report.fact("command").strip("`")
-        cells = [figure.what, figure.value(report), beside, f"{hardware}, [report]({folder}/{figure.report}.md)"]
-        lines.append(f"| {' | '.join(cells)} | `{_shortened(command)}` |")
-    return "\n".join(lines)
+def _hardware(figure: Figure) -> str:
+    named = figure.on or read_report(figure.report).fact("hardware").replace("1 CPU threads (x86_64)", "one CPU core")
+    return named.removeprefix("one CPU core, ").replace(" (x86_64)", "").replace(", 1 threads of torch", "")
 
 
 def _shortened(command: str) -> str:

@@ -60,6 +60,8 @@ from gcd_dataset.shards import encode_sample
 FOLDER = Path(__file__).resolve().parents[1] / "images"
 SEED, SHOWN = 3, 0
 """Seed and index of the garment on all concept pages."""
+PEOPLE_SEED, PEOPLE = 7, (4, 5, 2, 19)
+"""Seed and indices of the garments on the first page."""
 SPACING = 1.5  # cm
 QUALITY, SMALL = 86, 75  # of the JPEG files; of the many of the parameters
 TILE = 400  # pixels
@@ -88,6 +90,17 @@ def garment() -> Garment:
 
 
 # ------------------------------------------------------------------------------------------------------------ pictures
+
+
+def people() -> Picture:
+    """Four dressed persons, each beside the pattern of the garment."""
+    parts = []
+    for index in PEOPLE:
+        worn = make(PEOPLE_SEED, index, MakeConfig(resolution=SPACING, device="cpu", picture=0))
+        assert worn.shape is not None
+        person = _photographs(worn, build_body(worn.shape), 1, TILE)[0]
+        parts += [_narrow(person), draw_pattern(worn.pattern, size=TILE)]
+    return np.concatenate([_row(parts[:4]), _row(parts[4:])])
 
 
 def steps() -> Picture:
@@ -190,6 +203,7 @@ def parameters(section: str) -> Picture:
 
 
 PICTURES: Mapping[str, Callable[[], Picture]] = {
+    "people": people,
     "steps": steps,
     "body": body,
     "measures": measures,
@@ -225,9 +239,15 @@ def _narrow(picture: Picture, share: float = NARROW) -> Picture:
 @cache
 def _photograph(size: int) -> tuple[Picture, ...]:
     """Drawn views of the sample: cloth, person, light and place."""
+    return _photographs(garment().sample, garment().body, 4, size)
+
+
+def _photographs(sample: Sample, body: Body, count: int, size: int) -> tuple[Picture, ...]:
+    """The first drawn views of any sample."""
+    seed, index = sample.provenance.seed, sample.provenance.index
+    scene = scene_of_sample(sample, body, hair=draw_hair(seed, index))
     ranges = Ranges(camera=CameraRanges(yaw=(-40.0, 40.0), crop=0.0))
-    scene = scene_of_sample(garment().sample, garment().body, hair=draw_hair(SEED, SHOWN))
-    views = draw_views(SEED, SHOWN, scene, 4, ranges=ranges)
+    views = draw_views(seed, index, scene, count, ranges=ranges)
     return tuple(np.asarray(picture.rgb) for picture in render([scene], views, size=size, device="cpu"))
 
 

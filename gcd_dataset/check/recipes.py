@@ -35,7 +35,8 @@ def recipe_lines(name: str = "") -> Iterator[str]:
     yield f"  splits: {', '.join(f'{split} {size}' for split, size in recipe.sizes().items())}"
     made = {option: value for option, value in recipe_of(recipe.config).items() if option != "device"}
     yield f"  options: {', '.join(f'{option} {value}' for option, value in made.items() if value != {})}"
-    yield f"  patterns: {recipe.patterns or 'no hash yet: some were never generated'}"
+    yield f"  patterns: {recipe.patterns or 'no hash: some were never generated'}"
+    yield f"  first ten: {recipe.first_ten or 'no hash'}"
 
 
 def recipe_faults(folder: Path, recipe: Recipe) -> Iterator[str]:

@@ -6,6 +6,7 @@ A recipe is a TOML file, in this package or a user's own::
     about = "1,000 hoodies on two bodies"      # one sentence
     designs = 1000
     seed = 0
+    first_ten = "09c2…"                        # hash of the patterns of the first ten samples, if known
     patterns = "a41f…"                         # hash of all patterns, if known
 
     [options]                                  # options of ``MakeConfig`` other than ``FREE``
@@ -23,12 +24,11 @@ order listed: recipes with the same seed and the same leading shares put the sam
 drapes stay in the data set with their outcome: the set of failures differs between machines, the set of patterns must
 not.
 
->>> recipe = find_recipe("smoke-64-draft")
+>>> recipe = find_recipe("smoke-64")
 >>> recipe.count, recipe.split_of(5), recipe.sizes()
 (64, 'train', {'test': 2, 'validation': 4, 'train': 58})
 """
 
-import logging
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -54,19 +54,17 @@ __all__ = ["FREE", "Recipe", "find_recipe", "read_recipe", "recipe_names"]
 FREE = ("device", "on_fail")
 """Options of ``MakeConfig`` not allowed in a recipe: any device will do, and failed drapes are always kept."""
 
-DRAFT = "-draft"
 MAX_DESIGNS = 5_000_000
 TYPES: Mapping[str, tuple[type, str]] = {
     "name": (str, "a text"),
     "about": (str, "a text"),
     "designs": (int, "a whole number"),
     "seed": (int, "a whole number"),
+    "first_ten": (str, "64 hexadecimal digits"),
     "patterns": (str, "64 hexadecimal digits"),
     "options": (dict, "a table [options]"),
     "splits": (dict, "a table [splits]"),
 }
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -81,6 +79,8 @@ class Recipe:
     config: MakeConfig
     splits: Mapping[str, float]
     """Share of the designs in each split; the shares add up to 1."""
+    first_ten: str = ""
+    """``PatternHash.text`` of the patterns of the first ten samples; empty if they have never been made."""
     patterns: str = ""
     """``PatternHash.text`` of all patterns; empty if they have never all been made."""
 
@@ -119,20 +119,16 @@ class Recipe:
 def find_recipe(name: str | Path) -> Recipe:
     """The recipe of this name, or in the TOML file at this path.
 
-    ``smoke-64`` means ``smoke-64-draft`` until a frozen recipe of that name ships. Raises ``ConfigError`` with the
-    known names, and for an invalid file.
+    Raises ``ConfigError`` with the known names, and for an invalid file.
     """
     text = str(name)
     if text.endswith(".toml") or "/" in text:
         return read_recipe(user_path(text))
     known = recipe_names()
-    if text not in known and text + DRAFT in known:
-        log.info("%s is not frozen yet: using %s%s, which may still change", text, text, DRAFT)
-        text += DRAFT
     if text not in known:
-        nearest = did_you_mean(text, [*known, *(other.removesuffix(DRAFT) for other in known)])
         raise ConfigError(
-            f"no recipe {shown(text)}: there are {', '.join(known)}; or give the path of a FILE.toml{nearest}"
+            f"no recipe {shown(text)}: there are {', '.join(known)}; or give the path of a FILE.toml"
+            f"{did_you_mean(text, known)}"
         )
     return read_recipe(Path(str(files(__name__) / f"{text}.toml")))
 
@@ -161,7 +157,7 @@ def _recipe(values: Mapping[str, Any]) -> Recipe:
         if not isinstance(value, kind) or isinstance(value, bool):
             raise ConfigError(f"{name} is {value!r:.99}: give {wanted}")
     for name in TYPES:
-        if name not in values and name not in ("patterns", "options"):
+        if name not in values and name not in ("first_ten", "patterns", "options"):
             raise ConfigError(f"no {name}: give {TYPES[name][1]}")
     recipe = Recipe(
         name=require_name(values["name"], "recipe"),
@@ -170,6 +166,7 @@ def _recipe(values: Mapping[str, Any]) -> Recipe:
         seed=values["seed"],
         config=_config(values.get("options", {})),
         splits=_splits(values["splits"]),
+        first_ten=values.get("first_ten", ""),
         patterns=values.get("patterns", ""),
     )
     _require_sound(recipe)
@@ -201,8 +198,9 @@ def _require_sound(recipe: Recipe) -> None:
         raise ConfigError(f"designs is {recipe.designs}: give 1 to {MAX_DESIGNS}")
     if recipe.seed < 0:
         raise ConfigError(f"seed is {recipe.seed}: give 0 or more")
-    if recipe.patterns and not re.fullmatch(r"[0-9a-f]{64}", recipe.patterns):
-        raise ConfigError(f"patterns is {recipe.patterns!r:.99}: give 64 hexadecimal digits, or leave it out")
+    for name in ("first_ten", "patterns"):
+        if not re.fullmatch(r"([0-9a-f]{64})?", text := getattr(recipe, name)):
+            raise ConfigError(f"{name} is {text!r:.99}: give 64 hexadecimal digits, or leave it out")
     if empty := [name for name, size in recipe.sizes().items() if not size]:
         raise ConfigError(f"splits: {empty[0]} gets none of {recipe.designs} designs: give it a larger share")
 

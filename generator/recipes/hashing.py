@@ -1,13 +1,14 @@
-"""The patterns of a recipe, made without draping, and their hash. After a change of the sampler run
+"""The patterns of a recipe, made without draping, and their hashes. For a new recipe run
 
-    python -m gcd_dataset.generator.recipes.hashing standard-1k-draft
+    python -m gcd_dataset.generator.recipes.hashing standard-1k
 
-and write the printed hash into the recipe as ``patterns``. A core makes 15 patterns a second.
+and write the printed lines into it. A core makes 15 patterns a second; the line of the first ten comes at once.
 """
 
 import argparse
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import islice
 
 from gcd_dataset.generator.pipeline import DrapedDesign, DressedDesign, prepare
 from gcd_dataset.generator.recipes import Recipe, find_recipe
@@ -34,11 +35,14 @@ def made_patterns(recipe: Recipe, designs: Iterable[int]) -> Iterator[tuple[int,
 
 
 def main() -> None:
-    """Print the hash of all patterns of a recipe."""
-    parser = argparse.ArgumentParser(description="the hash of all patterns of a recipe")
+    """Print the hashes of the first ten and of all patterns of a recipe."""
+    parser = argparse.ArgumentParser(description="the hashes of the first ten and of all patterns of a recipe")
     parser.add_argument("recipe", help="name of a recipe, or path of a TOML file")
     recipe = find_recipe(parser.parse_args().recipe)
-    print(PatternHash.of(made_patterns(recipe, range(recipe.designs))).text)
+    made = made_patterns(recipe, range(recipe.designs))
+    first = PatternHash.of(islice(made, 10))
+    print(f'first_ten = "{first.text}"', flush=True)
+    print(f'patterns = "{(first + PatternHash.of(made)).text}"')
 
 
 if __name__ == "__main__":

@@ -147,14 +147,14 @@ def test_the_command_line_makes_describes_and_verifies(
     assert "  recipe tiny, sha256 " in capsys.readouterr().out
     assert main(["check", folder, "--recipe", str(toml)]) == 0
     assert ": this is tiny\n" in capsys.readouterr().out
-    assert main(["check", folder, "--recipe", "smoke-64-draft"]) == 1
+    assert main(["check", folder, "--recipe", "smoke-64"]) == 1
     assert "names recipe tiny" in capsys.readouterr().out
 
 
 def test_options_that_a_recipe_gives_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "a")
     for given in ("--count 5", "--seed 0", "--resolution 2", "--stage body"):
-        assert main(["generate", out, "--recipe", "smoke-64-draft", *given.split()]) == 2
+        assert main(["generate", out, "--recipe", "smoke-64", *given.split()]) == 2
         assert f"{given.split()[0]} is fixed by the recipe: leave it out" in capsys.readouterr().err
     assert main(["generate", out]) == 2
     assert "Give --count N, or --recipe NAME" in capsys.readouterr().err
@@ -164,6 +164,6 @@ def test_options_that_a_recipe_gives_are_refused(tmp_path: Path, capsys: pytest.
 def test_recipes_are_listed_and_described(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", "recipe:"]) == 0
     listed = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in listed][:2] == ["smoke-64-draft", "standard-1k-draft"]
+    assert [line.split()[0] for line in listed][:2] == ["smoke-64", "standard-1k"]
     assert main(["info", "recipe:standard-1k"]) == 0
     assert "splits: test 50, validation 52, train 898" in capsys.readouterr().out

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import gcd_dataset
+from tools import release
 
 ROOT = Path(__file__).resolve().parents[2]
 UNTRACKED = (
@@ -164,6 +165,10 @@ def test_the_installed_package_draws_a_pattern(clean: Path, tmp_path: Path) -> N
     folder, panels, pixels = run(clean / "python", "-c", PATTERN, cwd=tmp_path).split()
     assert Path(folder).is_relative_to(clean.parent)
     assert (int(panels) > 2, int(pixels)) == (True, 800)
+
+
+def test_the_readme_can_be_followed(clean: Path, tmp_path: Path) -> None:
+    release.follow_readme(clean.parent, tmp_path / "empty")
 
 
 def test_the_installed_command_makes_and_examines_garments(clean: Path, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ PROGRAM = """
 from gcd_dataset.generator.recipes import find_recipe
 from gcd_dataset.generator.recipes.hashing import made_patterns
 from gcd_dataset.patternhash import PatternHash
-print(PatternHash.of(made_patterns(find_recipe("smoke-64-draft"), range(2))).text)
+print(PatternHash.of(made_patterns(find_recipe("smoke-64"), range(2))).text)
 """
 
 
@@ -41,7 +41,7 @@ def test_other_instructions_give_the_same_hash() -> None:
     old = {"OPENBLAS_CORETYPE": "Prescott", "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA"}
     command, env = [sys.executable, "-c", PROGRAM], {**os.environ, **old}
     there = subprocess.run(command, capture_output=True, text=True, check=True, env=env).stdout.strip()
-    assert there == PatternHash.of(made_patterns(find_recipe("smoke-64-draft"), range(2))).text
+    assert there == PatternHash.of(made_patterns(find_recipe("smoke-64"), range(2))).text
 
 
 def test_a_failure_in_a_worker_is_raised_here() -> None:
@@ -50,7 +50,7 @@ def test_a_failure_in_a_worker_is_raised_here() -> None:
         list(produce(5, range(4), MakeConfig(stage="pattern", design=heavy, max_attempts=2), workers=2))
 
 
-@pytest.mark.parametrize("name", ["smoke-64-draft", "poses-draft"])
+@pytest.mark.parametrize("name", ["smoke-64", "poses"])
 def test_a_recipe_has_the_cited_hash(name: str) -> None:
     """After a change of the sampler, ``python -m gcd_dataset.generator.recipes.hashing NAME`` prints the new hash."""
     recipe = find_recipe(name)

@@ -1,5 +1,6 @@
 """A recipe determines the content of a data set and, permanently, the split of each design."""
 
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.recipes import find_recipe, read_recipe, recipe_names
+from gcd_dataset.generator.recipes.hashing import made_patterns
+from gcd_dataset.patternhash import PatternHash
 
 TINY = """
 name = "tiny"
@@ -32,7 +35,7 @@ def written(folder: Path, text: str = TINY) -> Path:
 def test_the_recipes_of_the_package() -> None:
     recipes = [find_recipe(name) for name in recipe_names()]
     assert [recipe.name for recipe in recipes] == list(recipe_names())
-    counts = {recipe.name.removesuffix("-draft"): recipe.count for recipe in recipes}
+    counts = {recipe.name: recipe.count for recipe in recipes}
     of_two = {"smoke-64": 64, "standard-1k": 1000, "standard-24k": 24_000, "full-230k": 230_000}
     assert counts == of_two | {"fits": 1_200_000, "outfits": 1000, "poses": 1000}
     for recipe in recipes:
@@ -42,7 +45,7 @@ def test_the_recipes_of_the_package() -> None:
 
 
 def test_all_garments_of_a_design_are_in_one_split_and_every_garment_in_one() -> None:
-    recipe = find_recipe("standard-1k-draft")
+    recipe = find_recipe("standard-1k")
     indices = {split: recipe.indices_in(split) for split in recipe.splits}
     assert sorted(np.concatenate(list(indices.values())).tolist()) == list(range(1000))
     designs = {split: set((rows // 2).tolist()) for split, rows in indices.items()}
@@ -51,13 +54,13 @@ def test_all_garments_of_a_design_are_in_one_split_and_every_garment_in_one() ->
 
 
 def test_a_design_of_a_small_data_set_is_in_the_same_split_of_a_large_one() -> None:
-    small, large = find_recipe("standard-1k-draft"), find_recipe("full-230k-draft")
+    small, large = find_recipe("standard-1k"), find_recipe("full-230k")
     assert all(small.split_of(index) == large.split_of(index) for index in range(small.count))
 
 
 def test_the_split_of_a_design_never_changes() -> None:
     """Recorded figures: a change in how splits are drawn would change data sets that others have cited."""
-    recipe = find_recipe("full-230k-draft")
+    recipe = find_recipe("full-230k")
     held_out = {split: recipe.indices_in(split)[::2][:4] // 2 for split in ("test", "validation")}
     assert {split: designs.tolist() for split, designs in held_out.items()} == HELD_OUT
     assert recipe.sizes() == {"test": 11634, "validation": 11438, "train": 206928}
@@ -66,14 +69,23 @@ def test_the_split_of_a_design_never_changes() -> None:
 HELD_OUT = {"test": [11, 51, 54, 55], "validation": [1, 28, 32, 62]}
 
 
-def test_a_draft_is_found_without_its_suffix_and_an_unknown_name_lists_the_known_ones(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    with caplog.at_level("INFO", logger="gcd_dataset"):
-        assert find_recipe("smoke-64") == find_recipe("smoke-64-draft")
-    assert "smoke-64 is not frozen yet: using smoke-64-draft" in caplog.text
-    with pytest.raises(ConfigError, match=r"no recipe smok-64: there are smoke-64-draft, .*: did you mean smoke-64\?"):
-        find_recipe("smok-64")
+@pytest.mark.parametrize("name", ["standard-1k", "fits", "outfits", "poses"])
+def test_the_first_ten_patterns_never_change(name: str) -> None:
+    """A change of the sampler would change data sets that others have cited: it needs recipes with new names."""
+    recipe = find_recipe(name)
+    made = made_patterns(recipe, range(recipe.designs))
+    assert PatternHash.of(islice(made, 10)).agrees(recipe.first_ten)
+
+
+def test_data_sets_of_two_bodies_begin_with_the_same_patterns() -> None:
+    names = ("smoke-64", "standard-1k", "standard-24k", "full-230k")
+    assert len({find_recipe(name).first_ten for name in names}) == 1
+
+
+@pytest.mark.parametrize("name", ["smok-64", "smoke-64-draft"])
+def test_an_unknown_name_lists_the_known_ones(name: str) -> None:
+    with pytest.raises(ConfigError, match=rf"no recipe {name}: there are smoke-64, .*: did you mean smoke-64\?"):
+        find_recipe(name)
     with pytest.raises(ConfigError, match=r"gone\.toml: no such file"):
         find_recipe("gone.toml")
 
@@ -122,6 +134,7 @@ def test_comments_and_names_do_not_change_the_hash_of_a_recipe(tmp_path: Path) -
         ('stage = "pattern"', 'design = "hoodie"', "design is 'hoodie'"),
         ("[options]", "options = 3\n[splits.other]", "options is 3: give a table"),
         ("seed = 3", 'seed = 3\npatterns = "abc"', "patterns is 'abc': give 64 hexadecimal digits"),
+        ("seed = 3", 'seed = 3\nfirst_ten = "abc"', "first_ten is 'abc': give 64 hexadecimal digits"),
     ],
 )
 def test_an_error_in_a_recipe_names_file_and_entry(tmp_path: Path, change: str, to: str, message: str) -> None:
