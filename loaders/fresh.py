@@ -266,7 +266,6 @@ class FreshGarments(IterableDataset[GarmentFields]):
 
     def _made(self, order: DesignOrder, first: int) -> Iterator[Item]:
         """The garments in order, made by the workers in turn, one design each."""
-        self.garments.tell_wait()  # before the workers start: each of them would log it
         if self.workers:
             require_semaphores(self.workers)
         designs = DataLoader(
