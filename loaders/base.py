@@ -191,9 +191,6 @@ class Garments(Dataset[GarmentFields], ABC):
 
         return dataset_html(self)
 
-    def tell_wait(self) -> None:
-        """Log once how long a garment takes to make, if it takes seconds."""
-
     def _load(self, position: int) -> Any:
         """The item at a position: an index normalised to 0 … ``len(self)`` - 1."""
         return self._item(self._members(position, self._member_names), position)
@@ -277,9 +274,6 @@ class DerivedGarments(Garments):
 
     def sample(self, index: int | str) -> Sample:
         return self.whole.sample(self._in_whole(self._position(index)))
-
-    def tell_wait(self) -> None:
-        self.whole.tell_wait()
 
     def _description(self) -> list[str]:
         return [f"of {type(self.whole).__name__}", *self.whole._description()]

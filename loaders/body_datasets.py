@@ -103,11 +103,6 @@ class Bodies(Dataset[BodyFields], ABC):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({len(self)} people: {', '.join(self.fields)})"
 
-    def _repr_html_(self) -> str:
-        from gcd_dataset.viewer.notebook import bodies_html
-
-        return bodies_html(self)
-
     def __iter__(self) -> Iterator[BodyFields]:
         return (self[index] for index in range(len(self)))
 

@@ -192,11 +192,6 @@ class FreshGarments(IterableDataset[GarmentFields]):
     def __repr__(self) -> str:
         return f"FreshGarments({self.garments!r}, replay={float(self.replay):g}, room={self.room})"
 
-    def _repr_html_(self) -> str:
-        from gcd_dataset.viewer.notebook import fresh_html
-
-        return fresh_html(self)
-
     def __iter__(self) -> Iterator[GarmentFields]:
         """The next epoch, or the rest of the loaded state's epoch."""
         start = self._position = self._next
@@ -266,7 +261,6 @@ class FreshGarments(IterableDataset[GarmentFields]):
 
     def _made(self, order: DesignOrder, first: int) -> Iterator[Item]:
         """The garments in order, made by the workers in turn, one design each."""
-        self.garments.tell_wait()  # before the workers start: each of them would log it
         if self.workers:
             require_semaphores(self.workers)
         designs = DataLoader(

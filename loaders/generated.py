@@ -21,7 +21,6 @@ from gcd_dataset.files import make_folder, user_path, write_whole
 from gcd_dataset.generator.drapers import DraperAddress, SharedDraper, addresses_for
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
-from gcd_dataset.generator.quality import core_seconds
 from gcd_dataset.generator.recipe import LastStage as Stage
 from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, layout_of_samples, recipe_of, versions
 from gcd_dataset.loaders.base import Garments, Transform, require_integer
@@ -49,7 +48,6 @@ from gcd_dataset.workers import prefetch
 
 logger = logging.getLogger("gcd_dataset")
 
-LOGGED_FROM = 2.0  # s for each garment
 EACH = 1000  # cached samples of a folder
 
 
@@ -87,7 +85,7 @@ class GeneratedGarments(Garments):
     draping processes per GPU drape for them. Without workers this process drapes each batch at once on the first GPU,
     which is idle while the next batch is prepared. On a CPU each worker drapes its own garments. Under ``torchrun``, or
     with ``torch.distributed`` initialised, ``auto`` is this rank's own GPU, and several GPUs are divided among the
-    ranks of this machine. If a garment takes seconds, as a drape on a CPU does, the logger ``gcd_dataset`` warns once.
+    ranks of this machine.
 
     Raises ``ConfigError`` for options that do not fit together, fields of a later stage, and more ranks than GPUs; a
     missing GPU raises with the first garment. Raises ``DrapeError`` if a draping process ends; the next request
@@ -134,7 +132,6 @@ class GeneratedGarments(Garments):
         self._sample_cache = None if self.cache is None else SampleCache(self.cache)
         self._last = LastDesign()
         self._process = os.getpid()
-        self._wait_is_logged = False
 
     def __len__(self) -> int:
         return self._n
@@ -157,22 +154,6 @@ class GeneratedGarments(Garments):
         known = partial(self._cached, fields=fields_of(self._layout.members))
         options = {"finished": self._encoded, "known": known, "pictured": True}
         return decode_sample(next(self._make(self._drapes_elsewhere, [self._position(index)], **options)))
-
-    def tell_wait(self) -> None:
-        """Log once how long a garment takes to make, unless a cache exists."""
-        if self.cache is None or not self.cache.exists():
-            self._log_wait()
-
-    def _log_wait(self) -> None:
-        """Log once how long a garment takes, if that is ``LOGGED_FROM`` or longer: a drape on a CPU."""
-        worker, config = get_worker_info(), self.config
-        if self._wait_is_logged or (worker is not None and worker.id > 0):
-            return
-        self._wait_is_logged = True
-        each = core_seconds(config.resolution) if (config.stage, config.device) == ("drape", "cpu") else 0.0
-        if each >= LOGGED_FROM:
-            message = "waiting for the first garment: about %.0f s each on cpu, the first longer if it compiles kernels"
-            logger.warning(message, each)
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """The items of a batch, draped together; a ``DataLoader`` calls this."""
@@ -243,7 +224,6 @@ class GeneratedGarments(Garments):
 
     def _made(self, position: int) -> Mapping[str, Bytes]:
         """A garment made now, even if it is cached."""
-        self._log_wait()
         return next(
             self._make(
                 self._drapes_elsewhere,
@@ -261,17 +241,13 @@ class GeneratedGarments(Garments):
 
     def _cached(self, position: int, fields: Iterable[str] | None = None) -> Mapping[str, Bytes] | None:
         """The members for ``fields``, by default those of an item, from the cache; ``None`` if missing or damaged."""
-        members = None
+        if self._sample_cache is None:
+            return None
         try:
-            if self._sample_cache is not None:
-                members = self._sample_cache.read(
-                    position, members_of(fields or self.fields, fields_of(self._layout.members))
-                )
+            return self._sample_cache.read(position, members_of(fields or self.fields, fields_of(self._layout.members)))
         except ShardError as error:
             logger.warning("%s; it is made again", error)
-        if members is None:
-            self._log_wait()
-        return members
+            return None
 
     def _description(self) -> list[str]:
         return [f"seed {self._seed}", f"stage {self.config.stage} on {self.config.device}"]

@@ -91,10 +91,6 @@ class MixedDataset(Garments):
         epoch, offset = divmod(before, length)
         return part, cached_permutation(length, self._seed, part, epoch)(offset)
 
-    def tell_wait(self) -> None:
-        for dataset in self.datasets:
-            dataset.tell_wait()
-
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """The items of a batch, one request per data set, so that a GPU drapes its garments together."""
         sources = [self.source(index) for index in indices]

@@ -97,7 +97,6 @@ USERS = {
 LOWER = (
     "check",
     "cli",
-    "encodings",
     "exports",
     "generator",
     "hub",

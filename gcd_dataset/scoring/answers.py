@@ -4,8 +4,6 @@ A file is
 
 - a specification JSON, as this package, GarmentCode and StEm-Net write it; those of NeuralTailor, SewFormer, SewingLDM
   and AIpparel may have faults of networks, which ``AnswerReader.repair`` mends and names;
-- AIpparel's tokens as JSON, ``{"tokens": [...], "values": {"<pattern_cmd_LINE>": [[x, y], ...], ...}}``, in the
-  network's units;
 - ReWeaver's flattened panels as JSON, ``{"panels": {"0": {"edge_points": [[[x, y], ...], ...]}, ...}}`` [cm], with
   ``curves``, the curve of each edge: edges of two panels with the same curve are sewn together;
 - ``design_params.yaml`` of GarmentCode, drawn for the body of its garment;
@@ -24,12 +22,11 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset.curves import fitted_curve, signed_area
-from gcd_dataset.encodings import aipparel
-from gcd_dataset.encodings.specifications import read_prediction
 from gcd_dataset.errors import GcdError, PatternError, SpecError, shown
 from gcd_dataset.jsonfile import JsonPath, read_json
 from gcd_dataset.records import Edge, EdgeRef, Measurements, Panel, Pattern, Placement, Seam
 from gcd_dataset.scoring.garments import garment_name, require_size
+from gcd_dataset.scoring.repair import read_prediction
 from gcd_dataset.spec import pattern_from_spec
 from gcd_dataset.tensors import NO_LINES, PatternTensor, decode_pattern, sewn_rows
 
@@ -57,7 +54,7 @@ class AnswerReader:
     """How answers are read."""
 
     repair: bool = False
-    """Mend and name the faults of networks in specifications; see ``encodings.specifications.repaired``."""
+    """Mend and name the faults of networks in specifications; see ``repair.repaired``."""
     size_of: Callable[[str], Measurements] | None = None
     """The measures of a garment's wearer, for ``design_params.yaml``."""
 
@@ -89,11 +86,8 @@ class AnswerReader:
         if path.suffix.lower() == ARRAYS:
             return _from_tensors(path, name), ()
         tree = read_json(path, "model's answer")
-        if isinstance(tree, Mapping) and "pattern" not in tree:
-            if "tokens" in tree:
-                return aipparel.decode(_tokens(tree, path), name), ()
-            if "panels" in tree:
-                return _flattened(tree, path, name), ()
+        if isinstance(tree, Mapping) and "panels" in tree and "pattern" not in tree:
+            return _flattened(tree, path, name), ()
         if self.repair:
             return read_prediction(tree, name, source=str(path))
         return pattern_from_spec(tree, name, source=str(path)), ()
@@ -186,27 +180,3 @@ def _chained(name: str, lines: list[np.ndarray]) -> tuple[Panel, list[int]]:
     corners = np.array([line[0] for line in chain])
     edges = tuple(Edge(k, (k + 1) % len(chain), fitted_curve(line)) for k, line in enumerate(chain))
     return Panel(name, corners, edges, Placement(np.zeros(3), np.zeros(3))), rows
-
-
-def _tokens(tree: Mapping[str, Any], path: Path) -> aipparel.AIpparelTokens:
-    """AIpparel's tokens from a JSON object with ``tokens`` and ``values``."""
-    at = JsonPath(str(path))
-    tokens = tuple(at.text(word, "a token") for word in at.list_of(tree, "tokens"))
-    values = {}
-    for command, rows in at.mapping(tree.get("values"), "values").items():
-        try:
-            array = np.array(rows, float)
-        except (TypeError, ValueError, OverflowError) as cause:
-            raise at.error(f"values of {shown(command)} are no table of numbers: give one row a token") from cause
-        values[command] = _unscaled(command, array)
-    return aipparel.AIpparelTokens(tokens, values)
-
-
-def _unscaled(command: str, rows: np.ndarray) -> np.ndarray:
-    """Rows of a command in cm; rows of a wrong width are left to ``decode``, which reports them."""
-    if rows.ndim != 2 or rows.shape[1] != aipparel.NUMBERS.get(command):
-        return rows
-    if command == aipparel.MOVE:
-        return np.concatenate([aipparel.SCALINGS["translations"].undo(rows[:, :3]), rows[:, 3:]], axis=1)
-    points = rows.reshape(len(rows), -1, 2)
-    return aipparel.SCALINGS["vertices"].undo(points).reshape(rows.shape)

@@ -61,25 +61,13 @@ def writing(path: Path, *, kept: int | None = None) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def adding_to(folder: Path) -> Iterator[None]:
-    """Turn ``OSError`` into ``OutputError`` for a data set's folder that takes no more files."""
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(
-            f"{folder}: cannot be written ({error.strerror}): its samples can be read; to add some, make room and "
-            "allow writing, or choose another folder"
-        ) from error
-
-
-@contextlib.contextmanager
 def locked(path: Path, task: str, *, wait: bool = False) -> Iterator[None]:
     """Hold an ``flock`` on the file ``path`` during the block. The file is removed at the end; a kill frees the lock.
 
     ``task``: the work under the lock, for messages. Raises ``OutputError`` where another process holds the lock, unless
     ``wait`` (caused by ``BlockingIOError``); for a folder that cannot be written; on a file system without locks.
     """
-    with adding_to(path.parent):
+    with writing(path.parent):
         file, owner = lock_file(path, wait=wait), os.getpid()
     if file is None:
         raise OutputError(

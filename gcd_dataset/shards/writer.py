@@ -17,7 +17,7 @@ from typing import Any, Self
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.files import make_folder, require_name
 from gcd_dataset.records import Sample
-from gcd_dataset.shards.access import Place, adding_to, lock_file, reading, unlock, writing
+from gcd_dataset.shards.access import Place, lock_file, reading, unlock, writing
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.layout import (
     FAILED,
@@ -92,7 +92,7 @@ class Draft:
     ) -> Self | None:
         """The draft of a shard; ``None`` if the shard exists, or if another process fills it, unless ``wait``."""
         path, name = make_folder(place.work) / draft_name(split, number, plan.count), shard_name(split, number)
-        with adding_to(path.parent):
+        with writing(path.parent):
             lock = None if place.exists(name) else lock_file(path, wait=wait)
         if lock is None:
             return None

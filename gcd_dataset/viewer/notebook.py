@@ -1,4 +1,4 @@
-"""Displays of patterns, samples, items, batches, data sets and bodies in notebooks: the texts of their ``_repr_html_``.
+"""Displays of patterns, samples, items, batches and data sets in notebooks: the texts of their ``_repr_html_``.
 
 Each is static HTML with inline SVG and pictures; it needs no script and no server, so that saved notebooks keep it.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gcd_dataset.errors import GcdError
-from gcd_dataset.generator.drawing import draw_body, jpeg_bytes
+from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.lay_plan import LayPlan
 from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.outfits import joined
@@ -26,8 +26,7 @@ from gcd_dataset.shards.codec import decode_field
 from gcd_dataset.spec import pattern_from_spec
 
 if TYPE_CHECKING:
-    from gcd_dataset.loaders import FreshGarments, Garments
-    from gcd_dataset.loaders.body_datasets import Bodies
+    from gcd_dataset.loaders import Garments
 
 
 @cache
@@ -69,7 +68,6 @@ def table(rows: Iterable[tuple[str, Any]], *, breaks: bool = False) -> str:
 
 
 SHOWN = 6  # garments of a data set or a batch
-BODY_HEIGHT = 300  # pixels: twice the height of display, for sharp screens
 PICTURES = ("front", "back")
 VIEWS = {"views", "sketch"}  # fields of ``Views`` and ``Sketch``
 BOX = "display:flex;flex-wrap:wrap;gap:12px;align-items:flex-start;margin:6px 0"
@@ -137,46 +135,7 @@ def dataset_html(dataset: "Garments") -> str:
     return f'<div>{heading}<div style="{BOX}">{shown}</div>{_paragraph(", ".join(dataset.fields))}</div>'
 
 
-def fresh_html(garments: "FreshGarments") -> str:
-    """Description of a stream of garments, and of the data set that makes them; nothing is generated."""
-    facts = [
-        f"{_count(len(garments), 'item')} an epoch",
-        f"each garment used {float(garments.replay):g} ×",
-        f"buffer of {_count(garments.room, 'garment')}",
-        _count(garments.workers, "worker") if garments.workers else "made in this process",
-    ]
-    heading = _heading(type(garments).__name__, " · ".join(facts))
-    return f'<div>{heading}<div style="margin:6px 0 0 16px">{dataset_html(garments.garments)}</div></div>'
-
-
-def bodies_html(bodies: "Bodies") -> str:
-    """Description of a data set of bodies, with the first ones from the front; unreadable ones are left out."""
-    heading = _heading(type(bodies).__name__, _people(bodies))
-    shown = "".join(_of_bodies(bodies))
-    return f'<div>{heading}<div style="{BOX}">{shown}</div>{_paragraph(", ".join(bodies.fields))}</div>'
-
-
 # ------------------------------------------------------------------------------------------------------------- elements
-
-
-def _people(bodies: "Bodies") -> str:
-    count = f"{len(bodies)} {'person' if len(bodies) == 1 else 'people'}"
-    try:
-        return f"{count} · {bodies.mesh.n_vertices} vertices each"
-    except GcdError:  # no mesh on disk
-        return count
-
-
-def _of_bodies(bodies: "Bodies") -> Iterator[str]:
-    """Front of each of the first people, with name and height."""
-    for position in range(min(SHOWN, len(bodies))):
-        try:
-            person = bodies.person(position)
-            front = draw_body(np.asarray(person.straight, float), bodies.mesh.faces, height=BODY_HEIGHT)
-        except GcdError:
-            continue
-        text = f"{person.name}, {np.ptp(person.straight[:, 1]):.0f} cm"
-        yield _captioned(picture(jpeg_bytes(front), text, SMALL), text)
 
 
 def _of_batch(batch: Mapping[str, Any], size: int) -> Iterator[str]:

@@ -8,23 +8,13 @@ among the wordings of a fact.
 from collections.abc import Mapping
 
 from gcd_dataset.captions import LEVELS
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.captions.facts import GarmentFacts, garment_facts
 from gcd_dataset.generator.captions.sentences import Said, say
 from gcd_dataset.generator.garments import GarmentDesign
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["LEVELS", "GarmentFacts", "Said", "caption", "captions", "garment_facts", "say"]
-
-
-def caption(
-    size: Measurements, design: GarmentDesign, pattern: Pattern, *, level: str, seed: int = 0, index: int = 0
-) -> str:
-    """The caption of one level: see ``captions``. Raises ``ConfigError`` for an unknown level."""
-    if level not in LEVELS:
-        raise ConfigError(f"level is {level!r:.99}: give one of {', '.join(LEVELS)}")
-    return captions(size, design, pattern, seed=seed, index=index)[level]
+__all__ = ["LEVELS", "GarmentFacts", "Said", "captions", "garment_facts", "say"]
 
 
 def captions(

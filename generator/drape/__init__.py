@@ -14,7 +14,7 @@ from gcd_dataset.generator.drape.fabrics import (
     fabric_named,
 )
 from gcd_dataset.generator.drape.layers import layers_of
-from gcd_dataset.generator.drape.loading import kernels_compiled, log_drape_time, seconds_per_garment, seconds_to_drape
+from gcd_dataset.generator.drape.loading import log_drape_time, seconds_per_garment
 from gcd_dataset.generator.drape.maps import maps_of
 
 __all__ = [
@@ -34,12 +34,10 @@ __all__ = [
     "draw_fabric",
     "every_device",
     "fabric_named",
-    "kernels_compiled",
     "layers_of",
     "load_kernels",
     "log_drape_time",
     "maps_of",
     "resolve_device",
     "seconds_per_garment",
-    "seconds_to_drape",
 ]

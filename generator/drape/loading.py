@@ -5,7 +5,7 @@ import math
 from importlib import import_module
 from types import ModuleType
 
-from gcd_dataset.generator.device import cores, kernels_cached, load_kernels, resolve_device
+from gcd_dataset.generator.device import cores, load_kernels, resolve_device
 from gcd_dataset.generator.drape import kernels
 from gcd_dataset.generator.quality import core_seconds
 
@@ -25,15 +25,6 @@ def load_drape(device: str) -> None:
     load_kernels("drape", *KERNELS, device=device)
 
 
-def kernels_compiled(device: str = "auto") -> bool:
-    """Whether this machine's cache holds this version's kernels for a device.
-
-    If not, the first drape compiles them in about half a minute and logs a warning. Raises ``ConfigError`` for an
-    unknown device.
-    """
-    return kernels_cached(*KERNELS, device=resolve_device(device))
-
-
 def seconds_per_garment(device: str = "auto", spacing: float = 1.0) -> float:
     """Estimated mean time [s] to drape a garment at a mesh spacing [cm]: on one CPU core, or as a share of a GPU batch.
 
@@ -46,18 +37,13 @@ def seconds_per_garment(device: str = "auto", spacing: float = 1.0) -> float:
     return core_seconds(spacing) if resolve_device(device) == "cpu" else GPU_SECONDS / spacing**2
 
 
-def seconds_to_drape(garments: int, device: str = "auto", spacing: float = 1.0) -> float:
-    """Estimated time to drape ``garments`` garments, by ``seconds_per_garment``; each CPU core drapes one at a time.
+def log_drape_time(garments: int, device: str = "auto", spacing: float = 1.0) -> None:
+    """Log the estimated time to drape ``garments`` if above 10 s; each CPU core drapes one at a time.
 
     Raises ``ConfigError`` for an unknown device.
     """
     rounds = math.ceil(garments / cores()) if resolve_device(device) == "cpu" else garments
-    return rounds * seconds_per_garment(device, spacing)
-
-
-def log_drape_time(garments: int, device: str = "auto", spacing: float = 1.0) -> None:
-    """Log the estimated time to drape ``garments`` if above 10 s. Raises ``ConfigError`` for an unknown device."""
-    seconds = seconds_to_drape(garments, device, spacing)
+    seconds = rounds * seconds_per_garment(device, spacing)
     if seconds > LONG:
         logger.info(
             "draping %d garment%s at %g cm on %s takes about %s; at %g cm a third of that",

@@ -230,25 +230,16 @@ def leaves(kind: type[Design] | DesignSpace[Any], *, added: bool = False) -> Ite
             yield Leaf(entry.key, entry.space)
 
 
-def draw(
-    kind: type[D] | DesignSpace[D],
-    rng: np.random.Generator,
-    *,
-    within: Mapping[str, tuple[float, float]] | None = None,
-) -> D:
-    """A random design, drawn field by field; ``within``: limits of some fields, by name.
-
-    If the limits exclude the whole range of a parameter, the nearest value of that range is drawn.
-    """
-    space, limits = _space(kind), within or {}
-    values = {}
+def draw(kind: type[D] | DesignSpace[D], rng: np.random.Generator) -> D:
+    """A random design, drawn field by field."""
+    space, values = _space(kind), {}
     for entry in space.entries:
         if entry.added:
             continue
         if isinstance(entry.space, DesignSpace):
             values[entry.name] = draw(entry.space, rng)
         else:
-            values[entry.name] = entry.space.draw(rng, *limits.get(entry.name, ()))
+            values[entry.name] = entry.space.draw(rng)
     return space.kind(**values)
 
 

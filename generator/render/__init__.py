@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.render.images import read_picture
     from gcd_dataset.generator.render.materials import AppearanceRanges, draw_appearance
     from gcd_dataset.generator.render.pictures import MAPS, Picture, Ranges, View, draw_hair, draw_view, draw_views
-    from gcd_dataset.generator.render.plain import garment_scene, render_garment, render_sample, render_view
+    from gcd_dataset.generator.render.plain import garment_scene, render_garment, render_view
     from gcd_dataset.generator.render.scans import (
         KINECT,
         NOISELESS,
@@ -114,7 +114,6 @@ __all__ = [
     "read_picture",
     "render",
     "render_garment",
-    "render_sample",
     "render_view",
     "scan",
     "scan_cameras",

@@ -6,8 +6,6 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.lay_plan import PALETTE, PAPER
 from gcd_dataset.generator.render.appearance import RGB, Appearance, ClothLook, Print, Underwear
 from gcd_dataset.generator.render.cameras import fixed_camera
@@ -15,8 +13,7 @@ from gcd_dataset.generator.render.casting import PendingPictures
 from gcd_dataset.generator.render.environment import Environment, EnvironmentKind, Lights
 from gcd_dataset.generator.render.pictures import PlainView
 from gcd_dataset.generator.render.scene import Scene, figure_scene, scene_of
-from gcd_dataset.outfits import joined
-from gcd_dataset.records import Body, BoxMesh, Sample
+from gcd_dataset.records import Body, BoxMesh
 
 SIDES = ("front", "back")
 SKIN: RGB = (0.80, 0.76, 0.72)
@@ -61,18 +58,6 @@ def render_garment(
     """Front and back of a garment at ``vertices`` [cm] on its body."""
     front, back = start_plain([garment_scene(vertices, mesh, body)], size=size, device=device).lend_rgb().copy()
     return front, back
-
-
-def render_sample(sample: Sample, body: Body, *, size: int = 512, device: str = "auto") -> tuple[bytes, bytes]:
-    """JPEGs of a draped sample on its body, front and back, with all garments of an outfit.
-
-    Raises ``ConfigError`` for a sample without a drape.
-    """
-    sample = joined(sample)
-    if sample.box_mesh is None or sample.drape is None:
-        raise ConfigError(f"{sample.key} is not draped: make it with stage drape to render it")
-    front, back = render_garment(sample.drape.vertices, sample.box_mesh, body, size=size, device=device)
-    return jpeg_bytes(front), jpeg_bytes(back)
 
 
 @cache  # views of one look share its cloths on the device

@@ -24,12 +24,11 @@ from typing import Any
 from benchmarks.cases import CaseResult
 from benchmarks.run import report_text
 from gcd_dataset.errors import GcdError
-from tests.fuzz.inputs import EXPENSIVE, edited, expensive, mutated
+from tests.fuzz.inputs import edited, mutated
 from tests.fuzz.readers import DOCUMENTS, READERS, Reader
 
 SECONDS = 10.0  # s: limit on reading one input; long, since other programs share the cores
 MEGABYTES = 1024  # MB: limit on the address space that reading one input may add
-EXPENSIVE_SHARE = 20  # an expensive input takes as long to read as this number of damaged ones
 FAULTS = ("crash", "hang", "memory", "silent")
 VERDICTS = ("read", "refused", *FAULTS)
 
@@ -50,20 +49,17 @@ class Tally:
     """For each input that was neither read nor refused: its number, verdict and cause, as one line."""
 
 
-def tallies(name: str, reader: Reader, count: int, *, costly: int = 0) -> Iterator[tuple[str, Tally]]:
-    """Kind of inputs to the tally of a reader on them: damaged bytes, edited documents, expensive inputs."""
+def tallies(name: str, reader: Reader, count: int) -> Iterator[tuple[str, Tally]]:
+    """Kind of inputs to the tally of a reader on them: damaged bytes, edited documents."""
 
-    def inputs(make: Callable[[random.Random], bytes], count: int) -> Iterable[bytes]:
+    def inputs(make: Callable[[random.Random], bytes]) -> Iterable[bytes]:
         return [make(random.Random(f"{name}:{number}")) for number in range(count)]
 
     expected = reader.read(reader.content) if reader.protected else None
-    yield "bytes", try_all(reader.read, inputs(lambda chance: mutated(reader.content, chance), count), expected)
+    yield "bytes", try_all(reader.read, inputs(lambda chance: mutated(reader.content, chance)), expected)
     if name in DOCUMENTS:
         document = DOCUMENTS[name](reader.content)
-        yield "documents", try_all(reader.read, inputs(lambda chance: edited(document, chance), count), expected)
-    if costly and name in EXPENSIVE:
-        made = inputs(lambda chance: expensive(name, reader.content, chance), costly)
-        yield "expensive", try_all(reader.read, made, None)
+        yield "documents", try_all(reader.read, inputs(lambda chance: edited(document, chance)), expected)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -76,8 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows, faults = [], []
     for name in options.readers or READERS:
         with tempfile.TemporaryDirectory() as folder:
-            few = max(options.examples // EXPENSIVE_SHARE, 1)
-            for kind, tally in tallies(name, READERS[name](Path(folder)), options.examples, costly=few):
+            for kind, tally in tallies(name, READERS[name](Path(folder)), options.examples):
                 row = {"reader": name, "inputs": kind, "tried": tally.counts.total()}
                 rows.append(row | {verdict: tally.counts[verdict] for verdict in VERDICTS})
                 faults += [f"{name}, {kind}: {fault}" for fault in tally.faults]

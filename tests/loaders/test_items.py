@@ -1,8 +1,6 @@
 """Fields, types and indices of items of every data set, and their error messages."""
 
 import importlib
-import logging
-import pickle
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -409,18 +407,6 @@ def test_a_design_overlay_may_be_a_dict() -> None:
     for design in (3, "pants.toml"):
         with pytest.raises(ConfigError, match=r"design=.*: give a dict such as .*, or read_overlay"):
             GeneratedGarments(2, design=design)  # type: ignore[arg-type]
-
-
-def test_the_time_of_a_drape_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    ds = GeneratedGarments(3, device="cpu", resolution=1.0)
-    with caplog.at_level(logging.WARNING, "gcd_dataset"):
-        ds.tell_wait()
-        pickle.loads(pickle.dumps(ds[1:])).tell_wait()
-        FreshGarments(MixedDataset([ds], [1])).garments.tell_wait()
-        GeneratedGarments(3, stage="mesh").tell_wait()
-    assert [record.message for record in caplog.records] == [
-        "waiting for the first garment: about 7 s each on cpu, the first longer if it compiles kernels"
-    ]
 
 
 # ----------------------------------------------------------------------------------------------------------------- repr

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.reconstruction.encoding_losses import AGAIN, losses_of
-from gcd_dataset.encodings import aipparel
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.metrics import score_pattern
@@ -140,19 +138,6 @@ def test_faults_of_networks_are_repaired_and_named(tmp_path: Path) -> None:
     assert len(found.panel("front").edges) == 5
 
 
-def test_aipparel_tokens(tmp_path: Path) -> None:
-    tokens = aipparel.encode(garment())
-    scaled = {}
-    for command, rows in tokens.values.items():
-        if command == aipparel.MOVE:
-            tops = aipparel.SCALINGS["translations"].apply(rows[:, :3])
-            scaled[command] = np.concatenate([tops, rows[:, 3:]], axis=1).tolist()
-        else:
-            scaled[command] = aipparel.SCALINGS["vertices"].apply(rows.reshape(-1, 2)).reshape(rows.shape).tolist()
-    (tmp_path / "belt.json").write_text(json.dumps({"tokens": tokens.tokens, "values": scaled}))
-    assert_perfect(read(tmp_path / "belt.json"), garment())
-
-
 def test_arrays_of_a_pattern_tensor(tmp_path: Path) -> None:
     tensor = encode_pattern(garment())
     save(tmp_path / "belt.npz", {"panels": tensor.panels, "edges": tensor.edges, "stitches": tensor.stitches})
@@ -197,14 +182,6 @@ def test_a_design_is_drawn_for_the_body_of_its_garment(tmp_path: Path) -> None:
     assert "give --bodies" in AnswerReader().read(tmp_path)["belt"].failure
 
 
-def test_losses_of_encodings_are_measured() -> None:
-    found = {name: losses_of(again, [garment()]) for name, again in AGAIN.items()}
-    assert all(fit == 1.0 and means["combinatorial"] == 1.0 for fit, means in found.values())
-    many = Pattern("many", tuple(garment().panels[0] for _ in range(24)), ())
-    fit, means = losses_of(AGAIN["NeuralTailor, 23 × 14 × 4"], [garment(), many])
-    assert (fit, means["iou"]) == pytest.approx((0.5, 1.0))
-
-
 def test_pickled_objects_are_refused(tmp_path: Path) -> None:
     trap = tmp_path / "trap"
     np.savez(tmp_path / "evil.npz", panels=np.array([Evil(trap)], object), edges=[], stitches=[])
@@ -240,7 +217,6 @@ def test_damaged_arrays_are_failures(tmp_path: Path) -> None:
     ("name", "content", "fault"),
     [
         ("belt.json", b'{"pattern": {', "line 1"),
-        ("belt.json", b'{"tokens": [3], "values": {}}', "a token"),
         ("belt.json", b'{"panels": {"0": {"edge_points": [[[0, 0]], 5]}}}', "edge_points are no lists of points"),
         ("belt.json", b'{"panels": {"0": {"edge_points": [], "curves": 5}}}', "curves must be a list, found 5"),
         ("belt.json", b'{"panels": {"0": {"edge_points": [], "curves": [[1]]}}}', "curves must be numbers"),

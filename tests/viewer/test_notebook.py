@@ -14,9 +14,7 @@ from gcd_dataset.generator.drawing import SKIN, draw_body
 from gcd_dataset.loaders import (
     BodyDataset,
     FakeGarments,
-    FreshGarments,
     GarmentDataset,
-    PublishedBodies,
     collate_packed,
     collate_padded,
 )
@@ -127,31 +125,9 @@ def test_garments_that_would_be_generated_are_not_displayed() -> None:
     assert displayed(FakeGarments(5)).count("img") == 0
 
 
-def test_a_stream_of_fresh_garments_displays_how_it_uses_them() -> None:
-    elements = displayed(FreshGarments(FakeGarments(4), replay=2.5, room=3))
-    text = " ".join(elements.texts)
-    assert "10 items an epoch" in text and "used 2.5 ×" in text and "buffer of 3 garments" in text
-    assert "FakeGarments" in text and elements.count("img") == 0
-
-
-def test_a_set_of_bodies_displays_its_first_people(bodies: Path) -> None:
-    elements = displayed(BodyDataset(bodies))
-    assert elements.count("img") == 2
-    text = " ".join(elements.texts)
-    assert "2 people" in text and " cm" in text
-
-
 def test_a_person_displays_its_name_and_fields(bodies: Path) -> None:
     person = BodyDataset(bodies, fields=("name", "measures"))[0]
     assert {person["name"], "measures"} <= set(displayed(person).texts)
-
-
-def test_published_bodies_without_meshes_display_their_number(tmp_path: Path) -> None:
-    (tmp_path / "measurements").mkdir()
-    for name in ("00001", "00002"):
-        (tmp_path / "measurements" / f"{name}.yaml").write_text("body: {}")
-    elements = displayed(PublishedBodies(tmp_path, fields=("name",)))
-    assert elements.count("img") == 0 and "2 people" in " ".join(elements.texts)
 
 
 def test_a_body_is_drawn_from_the_front_in_proportion() -> None:

@@ -35,6 +35,7 @@ from gcd_dataset.generator.garments.space import (
     meanings,
     part,
     real,
+    redrawn,
     to_dict,
 )
 from gcd_dataset.generator.garments.waistband import Waistband
@@ -111,12 +112,11 @@ def test_defaults_keep_their_probability_and_other_values_are_equally_likely() -
 
 
 def test_narrowed_ranges_hold_and_limits_outside_give_the_nearest_value() -> None:
-    rng = np.random.default_rng(0)
-    drawn = [draw(HemDesign, rng, within={"depth": (3.0, 4.0), "rows": (-np.inf, 1.0)}) for _ in range(50)]
-    assert all(3.0 <= d.depth <= 4.0 and d.rows == 1 for d in drawn)
-    rng = np.random.default_rng(0)
-    assert draw(HemDesign, rng, within={"depth": (-np.inf, -3.0)}).depth == 1.0
-    assert draw(HemDesign, rng, within={"depth": (7.0, 9.0)}).depth == 5.0
+    space, rng = DesignSpace.declared(HemDesign), np.random.default_rng(0)
+    assert all(3.0 <= redrawn(space, HemDesign(), "depth", rng, 3.0, 4.0).depth <= 4.0 for _ in range(50))
+    assert redrawn(space, HemDesign(), "rows", rng, high=1.0).rows == 1
+    assert redrawn(space, HemDesign(), "depth", rng, high=-3.0).depth == 1.0
+    assert redrawn(space, HemDesign(), "depth", rng, 7.0, 9.0).depth == 5.0
 
 
 def test_a_value_out_of_range_is_refused() -> None:
@@ -242,12 +242,12 @@ def test_other_parameters_are_drawn_as_without_the_overlay(workwear: Overlay) ->
 
 
 def test_a_part_is_drawn_alone_within_limits(workwear: Overlay) -> None:
-    rng = np.random.default_rng(2)
-    lengths = [draw(workwear.space.of(PantsDesign), rng, within={"length": (-np.inf, 0.75)}).length for _ in range(50)]
+    rng, pants = np.random.default_rng(2), workwear.space.of(PantsDesign)
+    lengths = [redrawn(pants, draw(pants, rng), "length", rng, high=0.75).length for _ in range(50)]
     assert all(0.7 <= length <= 0.75 for length in lengths)
     assert draw(workwear.space.of(MetaDesign), rng).bottom is Bottom.PANTS
     # Limits outside the overlay's range give the nearest value of that range.
-    assert draw(workwear.space.of(PantsDesign), rng, within={"length": (-np.inf, 0.3)}).length == 0.7
+    assert redrawn(pants, draw(pants, rng), "length", rng, high=0.3).length == 0.7
 
 
 def test_an_overlay_survives_json_and_pickle(workwear: Overlay) -> None:

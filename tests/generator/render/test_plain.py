@@ -1,23 +1,19 @@
 """Plain pictures: shapes, sides, colours and shading agree with the geometry."""
 
-import io
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.lay_plan import PAPER
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.generator.render import draw_views, garment_scene, render, render_garment, render_sample, render_view
+from gcd_dataset.generator.render import draw_views, garment_scene, render, render_garment, render_view
 from gcd_dataset.generator.render.cameras import FIXED_DISTANCE, FIXED_MARGIN
 from gcd_dataset.generator.render.plain import SIDES, plain_view, start_plain
 from gcd_dataset.generator.render.scene import figure_scene
-from gcd_dataset.records import BoxMesh, Drape, Outcome, Provenance, Sample
-from tests.helpers import SIZE, body_from, joined, napkins, patch
+from gcd_dataset.records import BoxMesh
+from tests.helpers import body_from, joined, patch
 
 BALL = body_from(trimesh.creation.icosphere(subdivisions=3, radius=5.0))
 
@@ -101,14 +97,3 @@ def test_a_diverged_drape_leaves_the_body() -> None:
     front, _ = render_garment(np.full_like(mesh.vertices, np.nan), mesh, BALL, size=24, device="cpu")
     assert np.array_equal(front, render_view(figure_scene(BALL), size=24, device="cpu"))
     assert not is_paper(front)[12, 12]
-
-
-def test_a_draped_sample_renders_to_two_jpegs() -> None:
-    cloth = apron()
-    drape = Drape(cloth.vertices, Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)
-    sample = Sample("gcd_000000007", Provenance(0, 7), napkins(), SIZE, {}, box_mesh=cloth, drape=drape)
-    for jpeg in render_sample(sample, BALL, size=40, device="cpu"):
-        picture = Image.open(io.BytesIO(jpeg))
-        assert (picture.format, picture.size) == ("JPEG", (40, 40))
-    with pytest.raises(ConfigError, match="gcd_000000007 is not draped"):
-        render_sample(replace(sample, drape=None), BALL)

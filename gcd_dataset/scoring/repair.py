@@ -14,8 +14,6 @@ from gcd_dataset.jsonfile import JsonPath, whole
 from gcd_dataset.records import Pattern
 from gcd_dataset.spec import pattern_from_spec
 
-__all__ = ["read_prediction", "repaired"]
-
 
 def read_prediction(spec: Any, name: str, *, source: str = "") -> tuple[Pattern, tuple[str, ...]]:
     """The pattern of a parsed specification after repairs, and one remark for each; see ``repaired``.
