@@ -83,12 +83,12 @@ def read_motion(path: str | Path, *, fps: float = 30.0, body: Body | None = None
             return _model_poses(turns, seconds, fps, body.posed, str(path))
         return _poses(_own_turns(_as_ours(turns)), seconds, fps, str(path))
     text = read_whole(path, "BVH file", limit=LARGEST_BVH, error=BodyError).decode("utf-8", "replace")
-    head, mark, body = text.partition("MOTION")
+    head, mark, numbers = text.partition("MOTION")
     if not mark or not head.split() or head.split()[0] != "HIERARCHY":
         raise BodyError(f"{path}: no HIERARCHY and MOTION: give the path of a BVH file")
     joints = _joints(head, str(path))
     bones = _bones(joints, str(path))
-    frames, seconds = _frames(body, joints, str(path))
+    frames, seconds = _frames(numbers, joints, str(path))
     upright = [_turns(frames[[row]], joints[:1])[joints[0].name].magnitude()[0] == 0.0 for row in (0, -1)]
     first = int(upright == [True, False])
     own = _own_turns(_whole_turns(_turns(frames[first:], joints), bones))

@@ -74,7 +74,7 @@ POSES = {  # bend, spread and twist [degrees] of both sides; of the left, then o
 STANDING = "standing"
 """Drawn standing poses, see ``generator.standing.draw_pose``."""
 ANGLES = ("bend", "spread", "twist")
-BODIES = "a name such as neutral or female:7"
+BODIES = "a name such as neutral or female:7, or a model file"
 JOINT = "smpl:"  # prefix of a joint of a model file, beside our bones
 ROUNDING = 1e-6  # degrees beyond a limit, by conversion from radians
 
@@ -233,9 +233,7 @@ def require_possible(pose: Pose, body: Body | None = None) -> None:
     """
     by_file = body is not None and body.posed is not None
     if body is not None and not by_file and not np.array_equal(body.faces, body_model().faces):
-        raise BodyError(
-            f"{body.name}: neither a mesh of the body model nor a model file, which alone can be posed: give {BODIES}"
-        )
+        raise BodyError(f"{body.name}: not a mesh of the body model, which alone can be posed: give {BODIES}")
     for bone, turn in pose.turns.items():
         if by_file and bone.startswith(JOINT):
             continue

@@ -4,7 +4,7 @@ No real model file was at hand: they may not be redistributed.
 """
 
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +82,7 @@ def skinned(arrays: Mapping[str, Any], betas: np.ndarray, angles: np.ndarray) ->
     return np.einsum("vab,vb->va", matrices, np.pad(posed, ((0, 0), (0, 1)), constant_values=1.0))[:, :3]
 
 
-def amass(path: Path, frames: list[Turns], *, count: int = 52, fps: float = 30.0, **more: Any) -> Path:
+def amass(path: Path, frames: Sequence[Turns], *, count: int = 52, fps: float = 30.0, **more: Any) -> Path:
     """A file of AMASS's layout: rotations of joints by name, the root's as if y were up."""
     rows = [angles({**turns, "pelvis": ROOT * turns.get("pelvis", Rotation.identity())}, count) for turns in frames]
     arrays = {
@@ -204,7 +204,7 @@ def test_frames_of_amass_drive_our_rig_as_the_model(model_file: Path, own: Body,
     """Joint for joint, with the wearer of the file facing aside; the middle joint of the spine bends the upper bone."""
     body, _, _ = named_body(model_file)
     turn = Rotation.from_euler
-    frames: list[Turns] = [
+    frames = [
         {
             "pelvis": turn("yx", [70.0, 4.0], degrees=True),
             "left_hip": turn("x", -25.0 * share, degrees=True),
