@@ -5,7 +5,7 @@ Axis letters: ``v f e p`` vertices, faces, edges, panels; ``s`` seams; ``k`` sha
 A record holds read-only views of its arrays; records compare by value.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum, StrEnum
 from math import cos, inf, nan, sin
@@ -118,7 +118,8 @@ class Pose:
     turns: Mapping[str, tuple[float, float, float]]
     """Bone, one of ``BONES``, to bend, spread and twist: a rotation vector in the axes of the bone, which turns
     relative to its parent [rad]. Bend moves the tip of the bone forward, spread away from the middle of the body, twist
-    turns its front outwards; of the trunk, bend is forward, spread and twist are to its left."""
+    turns its front outwards; of the trunk, bend is forward, spread and twist are to its left. Of a body of a model
+    file also ``smpl:left_elbow`` and other joints, to a rotation vector in x, y and z."""
     name: str = "pose"
     cuts: int = 0
     """Edges at which the wearer's skin cuts itself in this pose, where they were counted."""
@@ -154,6 +155,8 @@ class Body(Record):
     parts: UInt8[np.ndarray, " v"]
     """``BodyPart`` value of each vertex."""
     name: str = "body"
+    posed: Callable[[Pose], Float[np.ndarray, "v 3"]] | None = field(default=None, compare=False, repr=False)
+    """Vertices in a pose [cm], of a body of the user's model file; None: of the body model, or of a mesh file."""
 
 
 # ------------------------------------------------------------------------------------------------------------- pattern

@@ -150,8 +150,8 @@ class MakeConfig:
         Option(
             "pose in which each garment is draped, drawn by seed and number; standing: another for each sample, bones "
             "within 45 degrees of the A-pose; t-pose, … or a JSON or TOML file of poses: one of them; walk, stroll, … "
-            "or a BVH file: a motion, 30 frames a second, in the member motion.z; measures and pattern are made for "
-            "the A-pose; for single garments; empty: the A-pose"
+            "or a BVH or AMASS file: a motion, 30 frames a second, in the member motion.z; measures and pattern are "
+            "made for the A-pose; for single garments; empty: the A-pose"
         ),
     ] = ""
     chart: SizeChart | None = field(default=None, init=False, repr=False, compare=False)
@@ -210,7 +210,7 @@ class MakeConfig:
 
     def _read_poses(self) -> tuple[tuple[Pose, ...], tuple[Pose, ...]]:
         """``given_poses`` and ``motion``."""
-        from gcd_dataset.generator.body.motion import named_motion
+        from gcd_dataset.generator.body.motion import MOTION_FILES, named_motion
         from gcd_dataset.generator.body.pose import STANDING, read_poses
 
         if self.stage != "drape":
@@ -218,7 +218,7 @@ class MakeConfig:
         if self.outfits:
             raise ConfigError("poses are for single garments: leave poses out with outfits, whose wearers cannot move")
         path = Path(self.poses)
-        if self.poses in GAITS or path.suffix.lower() == ".bvh":
+        if self.poses in GAITS or path.suffix.lower() in MOTION_FILES:
             poses = enumerate(named_motion(self.poses, fps=FPS), 1)
             return (), tuple(replace(pose, name=f"{path.stem}, frame {k}") for k, pose in poses)
         return () if self.poses == STANDING else read_poses(self.poses), ()

@@ -120,10 +120,25 @@ def add_verb(
 
 def add_body(parser: argparse.ArgumentParser, default: str | None = "neutral") -> None:
     """Add ``--body`` and the options that describe its mesh file; ``wearer_of`` reads the body."""
-    parser.add_argument("--body", type=body_name, default=default, help=f"{BODY_NAMES}, a mesh file (default: neutral)")
+    parser.add_argument(
+        "--body",
+        type=body_name,
+        default=default,
+        help=f"{BODY_NAMES}, a mesh file, or smplx:MODEL.npz (default: neutral)",
+    )
     parser.add_argument("--measurements", type=Path, metavar="YAML", help="of a mesh file [cm] (default: measured)")
     parser.add_argument("--segmentation", type=Path, metavar="JSON", help="of a mesh file, vertex ids (default: found)")
     add_height(parser)
+    add_betas(parser)
+
+
+def add_betas(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--betas`` to a verb that takes a model file."""
+    parser.add_argument(
+        "--betas",
+        metavar="A,B,…",
+        help="shape of a model file: numbers, such as --betas=-1,0.5, or an NPZ file of AMASS (default: the mean body)",
+    )
 
 
 def add_height(parser: argparse.ArgumentParser) -> None:
@@ -150,6 +165,7 @@ def wearer_of(options: argparse.Namespace) -> "Callable[[bool], tuple[Body, Meas
             segmentation=options.segmentation,
             legs_apart=legs_apart,
             height=options.height,
+            betas=options.betas,
         )[:2]
 
     return wearer

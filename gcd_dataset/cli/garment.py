@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gcd_dataset.cli.common import (
     BODY_NAMES,
     Parser,
+    add_betas,
     add_body,
     add_height,
     add_quiet,
@@ -94,8 +95,9 @@ def _add_draping(drape: Parser) -> None:
     drape.add_argument(
         "--motion",
         metavar="MOTION",
-        help="move the body under the garment: a gait, such as walk, stroll or march, or a BVH file with CMU's joints; "
-        "NAME.motion.z has all frames, NAME_motion.png shows some, and report.json counts the crossings of each",
+        help="move the body under the garment: a gait, such as walk, stroll or march, a BVH file with CMU's joints, or "
+        "an NPZ file of AMASS; NAME.motion.z has all frames, NAME_motion.png shows some, and report.json counts the "
+        "crossings of each",
     )
     drape.add_argument("--fps", type=float, metavar="N", help="frames of --motion a second, up to 1000 (default: 30)")
     drape.add_argument(
@@ -118,7 +120,9 @@ def _add_measure(verbs: Any) -> None:
         metavar="MESH",
         help="OBJ, PLY, STL or GLB of one body in m, cm or mm (or see --height), closed or with small holes",
     )
-    measure.add_argument("--shape", type=body_name, metavar="NAME", help=f"{BODY_NAMES}, instead of a mesh")
+    measure.add_argument(
+        "--shape", type=body_name, metavar="NAME", help=f"{BODY_NAMES} or smplx:MODEL.npz, instead of a mesh"
+    )
     measure.add_argument(
         "--landmarks", type=Path, metavar="JSON", help="landmarks by name: vertex id or [x, y, z] as in the mesh file"
     )
@@ -126,6 +130,7 @@ def _add_measure(verbs: Any) -> None:
         "--segmentation", type=Path, metavar="JSON", help="vertex ids by body part (default: detected)"
     )
     add_height(measure)
+    add_betas(measure)
     measure.add_argument("--out", type=Path, metavar="YAML", help="file for the measures (default: printed)")
 
 
@@ -252,7 +257,7 @@ def _motion_of(options: argparse.Namespace, body: "Body") -> "list[Pose] | None"
     from gcd_dataset.generator.body import named_motion, pose_body
     from gcd_dataset.generator.drape.self_contact import skin_crossings
 
-    poses = named_motion(options.motion, fps=options.fps or FPS)
+    poses = named_motion(options.motion, fps=options.fps or FPS, body=body)
     if cut := sum(skin_crossings(pose_body(body, pose)) > 0 for pose in poses):
         told = f"the body cuts itself in {cut} of {len(poses)} frames"
         print(f"gcd {options.verb}: {options.motion}: {told}", file=sys.stderr)
@@ -337,7 +342,7 @@ def _measure(options: argparse.Namespace) -> int:
     if options.mesh is None and (options.landmarks or options.segmentation or options.height) is not None:
         raise ConfigError("--landmarks, --segmentation and --height are for a mesh file: leave them out with --shape")
     body = options.mesh if options.shape is None else options.shape
-    text = measured_text(body, options.landmarks, options.segmentation, options.height)
+    text = measured_text(body, options.landmarks, options.segmentation, options.height, options.betas)
     if options.out is None:
         print(text, end="")
     else:
@@ -348,11 +353,16 @@ def _measure(options: argparse.Namespace) -> int:
 
 
 def measured_text(
-    body: str, landmarks: Path | None = None, segmentation: Path | None = None, height: float | None = None
+    body: str,
+    landmarks: Path | None = None,
+    segmentation: Path | None = None,
+    height: float | None = None,
+    betas: str | None = None,
 ) -> str:
-    """The measures of a mesh file, or of a generated body given by name, as commented YAML; errors: see ``named_body``.
+    """The measures of a mesh or model file, or of a generated body given by name, as commented YAML.
 
-    Generated bodies are measured in the A-pose with the legs straight. ``height`` [cm] gives the scale of a mesh file.
+    Generated bodies are measured in the A-pose with the legs straight. ``height`` [cm] gives the scale of a mesh file,
+    ``betas`` the shape of a model file. Errors: see ``named_body``.
     """
     from gcd_dataset.bodyfiles import measurements_text
     from gcd_dataset.generator.body import build_body
@@ -362,7 +372,9 @@ def measured_text(
 
     shape = shape_by_name(body, legs_apart=False)
     if shape is None:
-        taken, remarks = measure_file(body, landmarks, segmentation, height=height)
+        taken, remarks = measure_file(body, landmarks, segmentation, height=height, betas=betas)
+    elif betas is not None:
+        raise ConfigError(f"{body}: --betas are the shape of a model file: leave them out, or give smplx:MODEL.npz")
     else:
         taken, remarks = (
             measure_closely(build_body(shape, name=body)),

@@ -13,6 +13,7 @@ from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.measuring import measure
 from gcd_dataset.generator.body.mesh_bodies import read_body
 from gcd_dataset.generator.body.shape import GROUPS, build_body, draw_from, draw_shape, named_shape
+from gcd_dataset.generator.body.smpl import Betas
 from gcd_dataset.records import Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 
@@ -26,18 +27,22 @@ def named_body(
     segmentation: Path | str | None = None,
     legs_apart: bool = False,
     height: float | None = None,
+    betas: Betas | None = None,
 ) -> tuple[Body, Measurements, BodyShape | None]:
     """A body, its measures, and its shape, or ``None`` for a mesh file.
 
-    ``name_or_path`` is a name (see ``shape_by_name``), or a mesh file (see ``read_body``), whose scale ``height`` [cm]
-    gives, and to which ``legs_apart`` does not apply. Measures are taken with the legs straight, as in GarmentCode.
-    Raises ``BodyError``, and ``ConfigError`` for a ``height`` that no adult has.
+    ``name_or_path`` is a name (see ``shape_by_name``), or a mesh or model file (see ``read_body``), to which
+    ``legs_apart`` does not apply; ``height`` [cm] gives its scale, ``betas`` the shape of a model file. Measures are
+    taken with the legs straight, as in GarmentCode. Raises ``BodyError``, and ``ConfigError`` for a ``height`` that no
+    adult has.
     """
     shape = shape_by_name(str(name_or_path), legs_apart=legs_apart)
     if shape is None:
-        return *read_body(name_or_path, measurements, segmentation, height=height), None
-    if segmentation is not None or height is not None:
-        raise BodyError(f"{name_or_path}: a named body has known parts and height: leave segmentation and height out")
+        return *read_body(name_or_path, measurements, segmentation, height=height, betas=betas), None
+    if segmentation is not None or height is not None or betas is not None:
+        raise BodyError(
+            f"{name_or_path}: a named body has known parts, height and shape: leave segmentation, height and betas out"
+        )
     body, size = build_body(shape, name=str(name_or_path)), measure(build_body(replace(shape, legs_apart=False)))
     if measurements is None:
         return body, size, shape

@@ -20,15 +20,17 @@ from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.register import UNITS, unit_of
 from gcd_dataset.generator.body.repair import ClosedSkin, is_convex, kept_mesh
 from gcd_dataset.generator.body.shape import stand
+from gcd_dataset.generator.body.smpl import Betas, ModelBody, read_model
 from gcd_dataset.generator.body.tailor import USUAL_HEIGHT, MeasureResult
 from gcd_dataset.measurements import MEASURE
-from gcd_dataset.records import Body, Measurements, Record
+from gcd_dataset.records import Body, Measurements, Pose, Record
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 
 COMPRESSED = (b"KHR_draco_mesh_compression", b"EXT_meshopt_compression")  # of glTF
+MODEL_PREFIX, MODEL_FILES = "smplx:", (".npz", ".pkl")  # the second is refused, with the way out
 REMEDY = "export the mesh again"
 MAX_BYTES = 512 << 20  # a scan of a million triangles has 100 MB as OBJ text
 MAX_FACES = 2_000_000  # scans have up to a million; larger ones take minutes and 10 GB
@@ -148,8 +150,9 @@ def read_body(
     segmentation: Path | str | None = None,
     *,
     height: float | None = None,
+    betas: Betas | None = None,
 ) -> tuple[Body, Measurements]:
-    """The body in a mesh file and its measures.
+    """The body in a mesh file, or of a model file (see ``smpl.read_model``) in the A-pose, and its measures.
 
     The body is found in the mesh, turned upright to face +z, and measured. Its ``height`` [cm] gives the unit; without
     it the mesh must be in metres, centimetres or millimetres. The vertices keep their order; unused ones, and other
@@ -160,7 +163,7 @@ def read_body(
     Raises ``BodyError`` with the file and a remedy, also for a height that no adult has; ``ConfigError`` for such a
     ``height``.
     """
-    file = _MeshFile.read(Path(mesh), segmentation)
+    file = _MeshFile.read(mesh, segmentation, betas)
     size = None if measurements is None else read_measurements(measurements)
     try:
         found = _find_body(file, None, height)
@@ -179,8 +182,12 @@ def read_body(
         for remark in _remarks(file, found):
             log.info("%s: %s", file.path, remark)
         kept = ~found.upright.scan.outside
-        vertices, faces = kept_mesh(found.upright.transform.apply(file.vertices), file.faces, kept)
+        unit = found.upright.transform.unit
+        upright = stand(file.vertices * unit) if file.model else found.upright.transform.apply(file.vertices)
+        vertices, faces = kept_mesh(upright, file.faces, kept)
         body = _closed(file, vertices, faces, found.parts[kept])
+        if file.model:
+            body = replace(body, posed=file.model.closed(kept, body.faces, len(body.vertices), unit))
         if size is None:
             return body, found.result.measurements
         unsure = ARM_MEASURES if found.arm_turn and not found.by_vertex else ()  # uncertain: the arms were moved
@@ -195,12 +202,13 @@ def measure_file(
     segmentation: Path | str | None = None,
     *,
     height: float | None = None,
+    betas: Betas | None = None,
 ) -> tuple[MeasureResult, list[str]]:
     """The measures of the body in a mesh file, and remarks on how they were found and on their accuracy.
 
     The skin may have holes: see ``measuring.find_body``; arguments and errors: see ``read_body``.
     """
-    file = _MeshFile.read(Path(mesh), segmentation)
+    file = _MeshFile.read(mesh, segmentation, betas)
     found = _find_body(file, given, height)
     return found.result, _remarks(file, found)
 
@@ -213,12 +221,17 @@ class _MeshFile(Record):
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
     parts: UInt8[np.ndarray, " v"] | None  # of the segmentation file
+    model: ModelBody | None
 
     @classmethod
-    def read(cls, path: Path, segmentation: Path | str | None) -> Self:
-        vertices, faces = read_mesh(path)
+    def read(cls, mesh: Path | str, segmentation: Path | str | None, betas: Betas | None) -> Self:
+        path = Path(str(mesh).removeprefix(MODEL_PREFIX))
+        model = read_model(path, betas) if path.suffix.lower() in MODEL_FILES else None
+        if model is None and betas is not None:
+            raise BodyError(f"{path}: a mesh has one shape: leave betas out, or give a model file")
+        vertices, faces = (model(Pose({})), model.faces) if model else read_mesh(path)
         parts = None if segmentation is None else read_body_parts(Path(segmentation), len(vertices), path)
-        return cls(path, vertices, faces, parts)
+        return cls(path, vertices, faces, parts, model)
 
 
 def _find_body(file: _MeshFile, given: Path | str | None, height: float | None) -> FoundBody:

@@ -1,4 +1,4 @@
-"""Motions: sequences of poses, read from BVH files or walked by formula."""
+"""Motions: sequences of poses, read from files of BVH and AMASS, or walked by formula."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from gcd_dataset.errors import BodyError, ConfigError, shown
 from gcd_dataset.files import read_whole
 from gcd_dataset.generator.body.pose import (
+    JOINT,
     LIMBS,
     LIMITS,
     ROUNDING,
@@ -23,10 +24,12 @@ from gcd_dataset.generator.body.pose import (
     rig,
     side_and_kind,
 )
-from gcd_dataset.records import BONES, Pose
+from gcd_dataset.generator.body.smpl import BONE_OF, JOINTS, PARENT, ModelBody, read_turns, t_pose
+from gcd_dataset.records import BONES, Body, Pose
 
 log = logging.getLogger(__name__)
 
+MOTION_FILES = (".bvh", ".npz")
 LARGEST_BVH = 1 << 28  # bytes; a minute of CMU's has 7 MB
 CAPTURE_ERROR = 20.0  # degrees beyond a limit, to which captured angles are set
 LOWEST_FPS, HIGHEST_FPS = 1.0, 1000.0  # poses a second
@@ -57,30 +60,52 @@ class _Joint:
         return np.asarray(self.offset) + (self.parent.at if self.parent else 0.0)
 
 
-def read_motion(path: str | Path, *, fps: float = 30.0) -> list[Pose]:
-    """The poses of a BVH file, ``fps`` a second, interpolated between its frames.
+def read_motion(path: str | Path, *, fps: float = 30.0, body: Body | None = None) -> list[Pose]:
+    """The poses of a BVH or AMASS file, ``fps`` a second, interpolated between its frames.
 
-    Joints have CMU's names (``Hips``, ``LeftUpLeg``, …), or those of ``BONES``; y is up, and the rest pose stands
-    facing z, straight limbs in any direction. The motion starts facing z. Units do not matter, since the body
-    keeps its own lengths and stands on the floor at its place: the translation of the root is not read. CMU's files
-    begin with a T-pose: the first frame is left out if its root has no rotation and that of the last frame has one.
+    The motion starts facing z, and the body keeps its own lengths and stands on the floor at its place: the translation
+    of the root is not read.
+
+    Joints of BVH have CMU's names (``Hips``, ``LeftUpLeg``, …), or those of ``BONES``; y is up, and the rest pose
+    stands facing z, straight limbs in any direction; units do not matter. CMU's files begin with a T-pose: the first
+    frame is left out if its root has no rotation and that of the last frame has one.
+
+    ``body`` of a model file takes all joints of an AMASS file (NPZ) as they are. Other bodies take those of trunk and
+    limbs, as if the zero pose were their ``t-pose``; hands keep to the forearm, and the spine has two bones.
+
     Raises ``BodyError`` for a damaged file, unknown or missing joints, numbers that are none, and poses outside
     ``LIMITS``; it names the frame, from 1.
     """
     _require_rate(fps)
+    if Path(path).suffix.lower() == ".npz":
+        turns, seconds = read_turns(Path(path))
+        if body is not None and isinstance(body.posed, ModelBody):
+            return _model_poses(turns, seconds, fps, body.posed, str(path))
+        return _poses(_own_turns(_as_ours(turns)), seconds, fps, str(path))
     text = read_whole(path, "BVH file", limit=LARGEST_BVH, error=BodyError).decode("utf-8", "replace")
-    head, mark, body = text.partition("MOTION")
+    head, mark, numbers = text.partition("MOTION")
     if not mark or not head.split() or head.split()[0] != "HIERARCHY":
         raise BodyError(f"{path}: no HIERARCHY and MOTION: give the path of a BVH file")
     joints = _joints(head, str(path))
     bones = _bones(joints, str(path))
-    frames, seconds = _frames(body, joints, str(path))
+    frames, seconds = _frames(numbers, joints, str(path))
     upright = [_turns(frames[[row]], joints[:1])[joints[0].name].magnitude()[0] == 0.0 for row in (0, -1)]
     first = int(upright == [True, False])
-    own = _own_turns(_turns(frames[first:], joints), bones)
-    last = len(frames) - first - 1
-    times = np.arange(int(last * seconds * fps + 1e-6) + 1) / (fps * seconds)  # in frames of the file
-    vectors = [(Slerp(np.arange(last + 1), turn)(times) if last else turn).as_rotvec() for turn in own]
+    own = _own_turns(_whole_turns(_turns(frames[first:], joints), bones))
+    return _poses(own, seconds, fps, str(path), first)
+
+
+def _at_rate(turns: Rotation, seconds: float, fps: float) -> tuple[Rotation, Float[np.ndarray, " k"]]:
+    """Rotations ``seconds`` apart, interpolated to ``fps`` a second, and the time of each in frames of the file."""
+    last = len(turns) - 1
+    times = np.arange(int(last * seconds * fps + 1e-6) + 1) / (fps * seconds)
+    return (Slerp(np.arange(last + 1), turns)(times) if last else turns), times
+
+
+def _poses(own: Sequence[Rotation], seconds: float, fps: float, path: str, first: int = 0) -> list[Pose]:
+    """Poses of the rotations of ``BONES`` relative to their parents, ``first`` frames after the first of a file."""
+    vectors = [_at_rate(turn, seconds, fps)[0].as_rotvec() for turn in own]
+    times = _at_rate(own[0], seconds, fps)[1]
     turns = np.stack([each @ axes for each, axes in zip(vectors, rig().axes, strict=True)], axis=1)
     limits = np.radians([LIMITS[side_and_kind(bone)[1]] for bone in BONES])
     within = np.clip(turns, *np.moveaxis(limits, 2, 0))
@@ -216,26 +241,57 @@ def _turns(frames: Float[np.ndarray, "t c"], joints: Sequence[_Joint]) -> dict[s
     return turns
 
 
-def _own_turns(turns: Mapping[str, Rotation], bones: Mapping[str, _Joint]) -> list[Rotation]:
-    """The rotation of each bone of ``BONES`` relative to its parent, from the A-pose, in each frame."""
+def _whole_turns(turns: Mapping[str, Rotation], bones: Mapping[str, _Joint]) -> dict[str, Rotation]:
+    """The rotation of each bone of ``BONES`` from the A-pose, in each frame."""
     whole: dict[str, Rotation] = {}
     for bone, joint in bones.items():
         turn, above = turns[joint.name], joint.parent
         while above:
             turn, above = turns[above.name] * turn, above.parent
         whole[bone] = turn * _to_rest(bone, bones)
-    x, _, z = whole["pelvis"].apply([0.0, 0.0, 1.0])[0]
-    whole = {bone: Rotation.from_rotvec([0.0, -np.arctan2(x, z), 0.0]) * turn for bone, turn in whole.items()}
     if bones["neck"].name != "neck":
         _bend_as_ours(whole)
+        nod = (whole["upper_spine"].inv() * whole["head"]).as_rotvec()
+        whole["neck"] = whole["upper_spine"] * Rotation.from_rotvec(0.5 * nod)
+    return whole
+
+
+def _as_ours(turns: Mapping[str, Rotation]) -> dict[str, Rotation]:
+    """The rotation of each bone of ``BONES`` from the A-pose, of joints of the SMPL family from a T-pose."""
+    rest = zip(JOINTS, BONE_OF, Rotation.from_matrix(t_pose()), strict=True)
+    whole = {bone: turns[joint] * turn for joint, bone, turn in rest}
+    _bend_as_ours(whole)
+    return whole
+
+
+def _own_turns(whole: Mapping[str, Rotation]) -> list[Rotation]:
+    """The rotation of each bone of ``BONES`` relative to its parent; the pelvis faces z in the first frame."""
+    whole = _facing_z(whole, "pelvis")
     return [whole[parent].inv() * whole[bone] if (parent := parent_of(bone)) else whole[bone] for bone in BONES]
 
 
-def _bend_as_ours(whole: dict[str, Rotation]) -> None:
-    """Divide the turns of CMU's joints among our bones.
+def _facing_z(whole: Mapping[str, Rotation], root: str) -> dict[str, Rotation]:
+    x, _, z = whole[root].apply([0.0, 0.0, 1.0])[0]
+    return {bone: Rotation.from_rotvec([0.0, -np.arctan2(x, z), 0.0]) * turn for bone, turn in whole.items()}
 
-    The arms roll so that elbows bend forward, since the hinges of CMU's skeletons differ; hands keep to the forearm,
-    which has no twist there; the neck takes half the turn of the head.
+
+def _model_poses(turns: Mapping[str, Rotation], seconds: float, fps: float, model: ModelBody, path: str) -> list[Pose]:
+    """Poses of the joints of a model, each relative to its parent from the A-pose; those not in a file stay."""
+    home = dict(zip(model.names, map(Rotation.from_matrix, model.home), strict=True))
+    turns = _facing_z(turns, JOINTS[0])
+    whole = {name: turn * home[name].inv() for name, turn in turns.items() if name in home}
+    own = {name: whole[PARENT[name]].inv() * turn if name in PARENT else turn for name, turn in whole.items()}
+    vectors = np.stack([_at_rate(turn, seconds, fps)[0].as_rotvec() for turn in own.values()], axis=1).tolist()
+    return [
+        Pose({JOINT + name: tuple(turn) for name, turn in zip(own, row, strict=True)}, f"{path}, pose {number}")
+        for number, row in enumerate(vectors, 1)
+    ]
+
+
+def _bend_as_ours(whole: dict[str, Rotation]) -> None:
+    """Let captured arms bend as ours do.
+
+    They roll so that elbows bend forward, since the hinges of other skeletons differ; hands keep to the forearm.
     """
     for side in ("left_", "right_"):
         upper, lower = (rig().axes[BONES.index(side + bone)] for bone in ("upper_arm", "forearm"))
@@ -244,8 +300,6 @@ def _bend_as_ours(whole: dict[str, Rotation]) -> None:
         whole[side + "upper_arm"] *= Rotation.from_rotvec(roll * upper[:, 2])
         whole[side + "forearm"] *= Rotation.from_rotvec(roll * lower[:, 2])
         whole[side + "hand"] = whole[side + "forearm"]
-    turn = (whole["upper_spine"].inv() * whole["head"]).as_rotvec()
-    whole["neck"] = whole["upper_spine"] * Rotation.from_rotvec(0.5 * turn)
 
 
 def _to_rest(bone: str, bones: Mapping[str, _Joint]) -> Rotation:
@@ -346,8 +400,8 @@ def _pulse(phase: float, at: float, sharpness: float) -> float:
     return float(np.exp(sharpness * (np.cos(2.0 * np.pi * (phase - at)) - 1.0)))
 
 
-def named_motion(name_or_path: str | Path, *, fps: float = 30.0) -> list[Pose]:
-    """The poses of a gait of ``GAITS``, two cycles, or of a BVH file.
+def named_motion(name_or_path: str | Path, *, fps: float = 30.0, body: Body | None = None) -> list[Pose]:
+    """The poses of a gait of ``GAITS``, two cycles, or of a BVH or AMASS file.
 
     Raises ``BodyError`` for an unknown name, and as ``read_motion`` does.
     """
@@ -355,5 +409,5 @@ def named_motion(name_or_path: str | Path, *, fps: float = 30.0) -> list[Pose]:
     if gait := GAITS.get(name):
         return walk(gait, fps=fps, name=name)
     if not Path(name).suffix:
-        raise BodyError(f"no motion named {shown(name)}: there are {', '.join(GAITS)}, or a BVH file")
-    return read_motion(name, fps=fps)
+        raise BodyError(f"no motion named {shown(name)}: there are {', '.join(GAITS)}, or a BVH or AMASS file")
+    return read_motion(name, fps=fps, body=body)

@@ -74,7 +74,8 @@ POSES = {  # bend, spread and twist [degrees] of both sides; of the left, then o
 STANDING = "standing"
 """Drawn standing poses, see ``generator.standing.draw_pose``."""
 ANGLES = ("bend", "spread", "twist")
-BODIES = "a name such as neutral or female:7"
+BODIES = "a name such as neutral or female:7, or a model file"
+JOINT = "smpl:"  # prefix of a joint of a model file, beside our bones
 ROUNDING = 1e-6  # degrees beyond a limit, by conversion from radians
 
 
@@ -155,18 +156,18 @@ def _across(bone: str) -> str:
 def pose_body(body: Body, pose: Pose) -> Body:
     """A body of the body model in a pose, standing on the floor; its bones turn from where they are in ``body``.
 
-    Raises ``BodyError`` for a body with another mesh, and for a pose outside ``LIMITS``.
+    A body of a model file turns from its A-pose. Raises ``BodyError`` for a body with another mesh, and for a pose
+    outside ``LIMITS``.
     """
     require_possible(pose, body)
     if not pose.turns:
         return body
-    joints = rig().carriers @ body.vertices
-    given = np.array([pose.turns.get(bone, (0.0, 0.0, 0.0)) for bone in BONES], float)
-    turns = Rotation.from_rotvec((rig().axes @ given[:, :, None])[:, :, 0]).as_matrix()
+    if body.posed is not None:
+        return replace(body, vertices=stand(body.posed(pose)))
+    joints, turns = rig().carriers @ body.vertices, whole_turns(pose)
     moved = joints.copy()
     for number, parent in enumerate(PARENTS):  # parents come first
         if parent >= 0:
-            turns[number] = turns[parent] @ turns[number]
             moved[number] = moved[parent] + turns[parent] @ (joints[number] - joints[parent])
     shifts = moved - (turns @ joints[:, :, None])[:, :, 0]
     vertices, rotations = _blended(body.vertices, _same_half_space(Rotation.from_matrix(turns).as_quat()), shifts)
@@ -174,6 +175,15 @@ def pose_body(body: Body, pose: Pose) -> Body:
     normals = _turned(skin_normals(body.vertices, skin.faces), rotations[:, skin.faces[:, 0]])
     reference = replace(skin, normals=normals / np.linalg.norm(normals, axis=0))
     return replace(body, vertices=stand(reference.smoothed(vertices, ROUNDS, resolve_creases=True).vertices))
+
+
+def whole_turns(pose: Pose) -> Float[np.ndarray, "b 3 3"]:
+    """The rotation of each of ``BONES`` from the A-pose."""
+    turns = Rotation.from_rotvec((rig().axes @ pose.array[:, :, None])[:, :, 0]).as_matrix()
+    for number, parent in enumerate(PARENTS):  # parents come first
+        if parent >= 0:
+            turns[number] = turns[parent] @ turns[number]
+    return turns
 
 
 def _same_half_space(rotations: Float[np.ndarray, "b 4"]) -> Float[np.ndarray, "b 4"]:
@@ -221,9 +231,12 @@ def require_possible(pose: Pose, body: Body | None = None) -> None:
 
     A pose is impossible with an unknown bone, with angles that are no numbers, and with angles outside ``LIMITS``.
     """
-    if body is not None and not np.array_equal(body.faces, body_model().faces):
+    by_file = body is not None and body.posed is not None
+    if body is not None and not by_file and not np.array_equal(body.faces, body_model().faces):
         raise BodyError(f"{body.name}: not a mesh of the body model, which alone can be posed: give {BODIES}")
     for bone, turn in pose.turns.items():
+        if by_file and bone.startswith(JOINT):
+            continue
         if bone not in BONES:
             raise BodyError(f"pose {shown(pose.name)}: no bone named {shown(str(bone))}: there are {', '.join(BONES)}")
         if np.shape(turn) != (3,) or not np.isfinite(turn).all():

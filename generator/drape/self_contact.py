@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import warp as wp
-from jaxtyping import Int
+from jaxtyping import Int, UInt8
 
 from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model
 from gcd_dataset.generator.device import resolve_device
@@ -19,7 +19,7 @@ def skin_crossings(body: Body) -> int:
 
     Edges of heads, hands and feet are excluded: their skin folds into itself in every body of the model.
     """
-    faces, edges = _skin()
+    faces, edges = _model_skin() if body.posed is None else _skin(body.faces, body.parts)
     corners = body.vertices[faces].astype(np.float32)
     device = resolve_device("cpu")
 
@@ -44,8 +44,13 @@ def _zeros(count: int, device: str) -> wp.array:
 
 
 @functools.cache
-def _skin() -> tuple[Int[np.ndarray, "f 3"], Int[np.ndarray, "e 2"]]:
-    model = body_model()
-    folded = np.isin(model.parts, [part.value for part in COARSE_PARTS])
-    edges = mesh_edges(model.faces[~folded[model.faces].any(axis=1)]).ends
-    return model.faces[~(model.parts == BodyPart.INTERNAL.value)[model.faces].any(axis=1)], edges
+def _model_skin() -> tuple[Int[np.ndarray, "f 3"], Int[np.ndarray, "e 2"]]:
+    return _skin(body_model().faces, body_model().parts)
+
+
+def _skin(
+    faces: Int[np.ndarray, "g 3"], parts: UInt8[np.ndarray, " v"]
+) -> tuple[Int[np.ndarray, "f 3"], Int[np.ndarray, "e 2"]]:
+    folded = np.isin(parts, [part.value for part in COARSE_PARTS])
+    edges = mesh_edges(faces[~folded[faces].any(axis=1)]).ends
+    return faces[~(parts == BodyPart.INTERNAL.value)[faces].any(axis=1)], edges
