@@ -103,7 +103,7 @@ class Solver:
             self.frame()
 
     def leave_skin(self, chosen: wp.array) -> None:
-        """Move cloth of the chosen worlds off the skin's triangles, without new crossings of cloth with cloth."""
+        """Move cloth of the chosen worlds off the skin and worn garments, without new crossings of cloth with cloth."""
         m, s = self.model, self.state
         pierced = self.counted(BODY_THROUGH, chosen)
         through, height = wp.zeros_like(s.search.listed), wp.zeros(m.n_vertices, dtype=float, device=m.device)
@@ -115,8 +115,8 @@ class Solver:
         threads = 1 if m.device == "cpu" else 256
         self.launch(finish.bound_moves, (m.n_worlds, threads), [m.worlds, s.contacts, threads, chosen, s.x], [allowed])
         for _ in range(FINISHING_ROUNDS):
-            self.launch(finish.mark_body_crossings, m.n_edges, [m.worlds, m.cloth, chosen, s.x], [through])
             height.zero_()
+            self.launch(finish.mark_body_crossings, m.n_edges, [m.worlds, m.cloth, chosen, s.x], [through, height])
             bvh, roots = self.refitted_bvh()
             inputs = [m.cloth, skins, bvh, roots, pierced, s.x]
             self.launch(finish.measure_pierced_faces, (len(skins), most_edges), inputs, [through, height])

@@ -1,4 +1,4 @@
-"""Last phase: move cloth that crosses the skin off the skin's triangles, without new crossings of cloth with cloth.
+"""Last phase: move cloth off the triangles of the skin and of worn garments, without new crossings of its own cloth.
 
 The distance field has voxels of one centimetre; fingers and toes are finer. A vertex moves by less than half its
 distance from other cloth, so that no contact can change sides.
@@ -6,8 +6,9 @@ distance from other cloth, so that no contact can change sides.
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.body_contact import is_ignored, mesh_distance, nearest_part
-from gcd_dataset.generator.drape.kernels.crossing import SkinEdges, crosses_body
+from gcd_dataset.generator.drape.kernels.body_contact import is_ignored, nearest_part, skin_distance
+from gcd_dataset.generator.drape.kernels.crossing import SkinEdges, crosses_skin
+from gcd_dataset.generator.drape.kernels.field import UNLIMITED
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, segment_crosses
 from gcd_dataset.generator.drape.kernels.world import ClothArrays, Contacts, World, entries
 from gcd_dataset.records import POSITION_STEP
@@ -63,6 +64,13 @@ def bound_moves(
             wp.atomic_min(allowed, pair[corner], SHARE * wp.length(between))
 
 
+@wp.func
+def outward(skin: wp.uint64, p: wp.vec3) -> wp.vec3:
+    """Direction out of the body at ``p``."""
+    near = skin_distance(skin, p, UNLIMITED)
+    return wp.vec3(near[0], near[1], near[2])
+
+
 @wp.kernel
 def mark_body_crossings(
     worlds: wp.array(dtype=World),
@@ -72,43 +80,35 @@ def mark_body_crossings(
     x: wp.array(dtype=wp.vec3),
     # state out
     through: wp.array(dtype=int),
+    height: wp.array(dtype=float),
 ):
-    """Mark the ends of edges that cross the skin or worn garments, in the chosen worlds."""
+    """Mark the ends of edges that cross the skin or a worn garment, in the chosen worlds.
+
+    ``height``: how far the triangle of the worn garment stands out of the end, away from the skin [cm]. The distance
+    from the garment does not tell the way out beside its hem: above the hem the way is outward, below it inward.
+    """
     e = wp.tid()
     i = cloth.edges[e][0]
     j = cloth.edges[e][1]
     w = cloth.vertex_world[i]
     if chosen[w] == 0:
         return
-    if crosses_body(worlds[w], cloth.body_mesh[w], x[i], x[j]):
+    if crosses_skin(cloth.body_mesh[w], x[i], x[j]):
         through[i] = 1
         through[j] = 1
-
-
-@wp.func
-def nearest_exit(mesh: wp.uint64, p: wp.vec3) -> wp.vec4:
-    """Direction out of the body at ``p``, and the distance to ``CLEAR`` outside the skin [1, cm]."""
-    near = wp.mesh_query_point_sign_normal(mesh, p, DEEPEST)
-    if not near.result:
-        return wp.vec4(0.0)
-    skin = wp.mesh_eval_position(mesh, near.face, near.u, near.v)
-    away = (p - skin) * near.sign
-    distance = wp.length(away)
-    normal = wp.mesh_eval_face_normal(mesh, near.face)
-    if distance > 1.0e-4:
-        normal = away / distance
-    return wp.vec4(normal[0], normal[1], normal[2], CLEAR - near.sign * distance)
-
-
-@wp.func
-def farthest_exit(world: World, skin: wp.uint64, p: wp.vec3) -> wp.vec4:
-    """As ``nearest_exit``, out of the body and of the garments worn on it."""
-    way = nearest_exit(skin, p)
-    for k in range(world.worn.shape[0]):
-        near = mesh_distance(world.worn[k], p, DEEPEST, False)
-        if CLEAR - near[3] > way[3]:
-            way = wp.vec4(near[0], near[1], near[2], CLEAR - near[3])
-    return way
+    length = wp.length(x[j] - x[i])
+    along = (x[j] - x[i]) / length
+    for k in range(worlds[w].worn.shape[0]):
+        hit = wp.mesh_query_ray(worlds[w].worn[k], x[i], along, length)
+        if hit.result:
+            worn = wp.mesh_get(worlds[w].worn[k])
+            out = outward(cloth.body_mesh[w], x[i] + hit.t * along)
+            top = float(-UNLIMITED)
+            for corner in range(3):
+                top = wp.max(top, wp.dot(worn.points[worn.indices[3 * hit.face + corner]], out))
+            for end in range(2):
+                through[cloth.edges[e][end]] = 1
+                wp.atomic_max(height, cloth.edges[e][end], top - wp.dot(x[cloth.edges[e][end]], out))
 
 
 @wp.kernel
@@ -125,7 +125,10 @@ def measure_pierced_faces(
     through: wp.array(dtype=int),
     height: wp.array(dtype=float),
 ):
-    """Mark the corners of faces pierced by edges of the skin; ``height``: how far the skin stands out there [cm]."""
+    """Mark the corners of faces pierced by edges of the skin or of worn garments.
+
+    ``height``: how far the skin stands out there, or the edge of the worn garment out of the corner [cm].
+    """
     number, e = wp.tid()
     skin = skins[number]
     w = skin.world
@@ -147,7 +150,13 @@ def measure_pierced_faces(
         across = wp.cross(b - a, c - a)
         at = wp.lerp(p, q, wp.dot(a - p, across) / wp.dot(q - p, across))
         near = wp.mesh_query_point_no_sign(skin.mesh, at, DEEPEST)
-        if near.result:
+        if skin.mesh != cloth.body_mesh[w]:
+            away = outward(cloth.body_mesh[w], at)
+            top = wp.max(wp.dot(p, away), wp.dot(q, away))
+            for corner in range(3):
+                through[face[corner]] = 1
+                wp.atomic_max(height, face[corner], top - wp.dot(x[face[corner]], away))
+        elif near.result:
             normal = wp.mesh_eval_face_normal(skin.mesh, near.face)
             out = wp.max(wp.dot(p - at, normal), wp.dot(q - at, normal))
             for corner in range(3):
@@ -172,7 +181,7 @@ def leave_skin(
     """Move marked vertices outward, by the larger of two distances.
 
     The first brings the deepest sampled point of the vertex's edges out of the body. The second is the height by which
-    the skin stands out of the vertex's faces.
+    the skin, or a worn garment, stands out of the vertex's faces.
     """
     i = wp.tid()
     w = cloth.vertex_world[i]
@@ -189,12 +198,12 @@ def leave_skin(
             here = wp.lerp(p, x_in[j], 0.25 * float(quarter))
             part = nearest_part(world, here)
             if not is_ignored(cloth.ignored_parts[i] & cloth.ignored_parts[j], part):
-                way = farthest_exit(world, cloth.body_mesh[w], here)
-                if way[3] > deepest[3]:
-                    deepest = way
-    out = farthest_exit(world, cloth.body_mesh[w], p)
+                near = skin_distance(cloth.body_mesh[w], here, DEEPEST)
+                if CLEAR - near[3] > deepest[3]:
+                    deepest = wp.vec4(near[0], near[1], near[2], CLEAR - near[3])
     if height[i] > 0.0 and height[i] + CLEAR > deepest[3]:
         if not is_ignored(cloth.ignored_parts[i], nearest_part(world, p)):
+            out = outward(cloth.body_mesh[w], p)
             deepest = wp.vec4(out[0], out[1], out[2], height[i] + CLEAR)
     moved = p + deepest[3] * wp.vec3(deepest[0], deepest[1], deepest[2]) - x_start[i]
     length = wp.length(moved)

@@ -12,6 +12,9 @@ from gcd_dataset.generator.body.limbs import limbs_of
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, drape_outfit, layers_of
 from gcd_dataset.generator.drape.body_field import body_field
 from gcd_dataset.generator.drape.dressed import dressed_fields
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.outcome import FINISHES
+from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drape.tucked import ROOM, widths
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.dressing.worn import WornCloth
@@ -65,6 +68,24 @@ def test_a_ring_over_a_ring_rests_outside_it_and_the_same_in_a_batch() -> None:
     [layer] = layers_of([*over.under, WornCloth.of(outer.box_mesh, alone.vertices)], inner.body, device="cpu")
     assert (layer.crossings, layer.wrong_order) == (0, 0.0)
     assert drape_batch([outer], config, device="cpu") != [alone]
+
+
+def test_cloth_leaves_the_flared_hem_of_a_garment_under_it() -> None:
+    """Its rows above the hem lie outside the hem's cloth, and the row below, nearer to the skin, moves out as well."""
+    inner, outer = on_trunk(11.0), on_trunk(11.2)
+    hem, low = np.array(inner.box_mesh.vertices), np.array(outer.box_mesh.vertices)
+    hem[hem[:, 1] < 40.1] *= [11.8 / 11.0, 1.0, 11.8 / 11.0]
+    low[:, 1] -= 4.6
+    job = replace(outer, under=(WornCloth.of(inner.box_mesh, hem),))
+    solver = Solver(build_model([job], DrapeConfig(), "cpu"), DrapeConfig())
+    solver.state.x.assign(low)
+    assert solver.body_crossings()[0] > 0
+    for _ in range(FINISHES):
+        solver.leave_skin(solver.chosen(None))
+    assert (solver.body_crossings()[0], solver.body_through()[0]) == (0, 0)
+    moved = solver.state.x.numpy() - low
+    assert np.hypot(*moved[:, [0, 2]].T).max() < 0.8 + 0.12  # no further than beyond the hem
+    assert abs(moved[:, 1]).max() < 0.01
 
 
 def test_a_garment_over_one_that_failed_is_refused() -> None:
