@@ -99,7 +99,8 @@ class Server:
         part = body[: fault.cut]
         self._note(environ, response.status_code, len(part))  # before the answer: a test may read the log at once
         response.response = _sent(part, line if fault.hold else None)  # an iterator: its length is not set by werkzeug
-        response.headers["Content-Length"] = str(len(body))
+        if environ["REQUEST_METHOD"] != "HEAD":  # whose answer has the length of a body that is not sent
+            response.headers["Content-Length"] = str(len(body))
         if fault.chunked:
             del response.headers["Content-Length"]
         response.headers.update(fault.headers)

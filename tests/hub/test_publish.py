@@ -156,6 +156,12 @@ def test_licenses_are_those_of_the_hub(both: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "up").exists()
 
 
+def test_the_library_of_the_hub_downloads_every_file(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+    cache = {"endpoint": hub.endpoint, "cache_dir": tmp_path}
+    found = huggingface_hub.snapshot_download("org/garments", repo_type="dataset", **cache)
+    assert read_folder(Path(found)) == read_folder(folder)
+
+
 def test_the_card_declares_tars_and_pictures(staged: Staged) -> None:
     text = (staged.folder / "README.md").read_text()
     facts = yaml.safe_load(text.split("---")[1])
