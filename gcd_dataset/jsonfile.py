@@ -17,40 +17,31 @@ from gcd_dataset.files import read_whole
 LARGEST_JSON = 32 << 20  # bytes; a published pattern has 60 kB, and a parsed file takes up to twenty times its size
 LARGEST_NUMBER = 1e12  # larger than any length, angle or count; its square is finite
 DEEPEST = 64  # levels of lists and objects; a pattern has nine
+REMEDY = "correct the JSON"
 
 TOO_DEEP = f"more than {DEEPEST} levels deep"
 NOT_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 
 
-def parse_json(
-    content: str | bytes | bytearray | memoryview,
-    *,
-    source: str,
-    remedy: str = "correct the JSON",
-    error: type[GcdError] = SpecError,
-    limit: int = LARGEST_JSON,
-) -> Any:
-    """The parsed value of a JSON text of at most ``limit`` bytes.
+def parse_json(content: bytes, *, source: str, error: type[GcdError] = SpecError) -> Any:
+    """The parsed value of a JSON text.
 
-    Raises ``error``, whose message begins with ``source`` and ends with ``remedy``, for text that is not JSON in UTF-8,
-    and for JSON that readers disagree on: more than 64 levels, numbers beyond float64 or of thousands of digits, a
-    repeated key, a lone surrogate.
+    Raises ``error``, whose message begins with ``source``, for text that is not JSON in UTF-8, and for JSON that
+    readers disagree on: more than 64 levels, numbers beyond float64 or of thousands of digits, a repeated key, a lone
+    surrogate.
     """
     try:
-        encoded = content.encode() if isinstance(content, str) else bytes(content)
-        if len(encoded) > limit:
-            raise ValueError(f"{len(encoded)} bytes, more than {limit}")
-        value = loads(str(encoded, "utf-8-sig"), decode=DECODER.decode)
-        if b"\\u" in encoded:
+        value = loads(str(content, "utf-8-sig"), decode=DECODER.decode)
+        if b"\\u" in content:
             json.dumps(value, ensure_ascii=False).encode()
     except json.JSONDecodeError as cause:
         position = f"line {cause.lineno}, column {cause.colno}"
-        raise error(f"{source}: {position}: {cause.msg}: {remedy}") from cause
+        raise error(f"{source}: {position}: {cause.msg}: {REMEDY}") from cause
     except UnicodeError as cause:
-        raise error(f"{source}: not UTF-8 ({cause.reason}): {remedy}") from cause  # type: ignore[attr-defined]
+        raise error(f"{source}: not UTF-8 ({cause.reason}): {REMEDY}") from cause  # type: ignore[attr-defined]
     except ValueError as cause:
         # Without Python's advice on ``sys.set_int_max_str_digits``.
-        raise error(f"{source}: {str(cause).partition(';')[0]}: {remedy}") from cause
+        raise error(f"{source}: {str(cause).partition(';')[0]}: {REMEDY}") from cause
     return value
 
 

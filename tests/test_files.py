@@ -188,12 +188,15 @@ BROKEN: dict[str, str | bytes] = {
 
 @pytest.mark.parametrize("case", BROKEN)
 def test_broken_json_is_one_line_with_source_and_remedy(case: str) -> None:
+    content = BROKEN[case]
     with pytest.raises(ShardError) as caught:
-        parse_json(BROKEN[case], source="member spec.json", remedy="copy it again", error=ShardError)
+        parse_json(
+            content if isinstance(content, bytes) else content.encode(), source="member spec.json", error=ShardError
+        )
     text = str(caught.value)
     assert text.startswith("member spec.json: ")
     assert "\n" not in text and len(text) < 200
-    assert text.endswith("copy it again")
+    assert text.endswith("correct the JSON")
 
 
 scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
@@ -202,19 +205,15 @@ values = st.recursive(scalars, lambda inner: st.lists(inner) | st.dictionaries(s
 
 @given(values)
 def test_written_values_are_read_back(value: object) -> None:
-    text = json.dumps(value)
-    assert parse_json(text, source="x") == value
-    assert parse_json(memoryview(text.encode()), source="x") == value
+    assert parse_json(json.dumps(value).encode(), source="x") == value
 
 
 def test_brackets_in_strings_are_no_levels() -> None:
-    assert parse_json(json.dumps(["[" * 100]), source="x") == ["[" * 100]
-    assert parse_json("[" * DEEPEST + "]" * DEEPEST, source="x")
+    assert parse_json(json.dumps(["[" * 100]).encode(), source="x") == ["[" * 100]
+    assert parse_json(b"[" * DEEPEST + b"]" * DEEPEST, source="x")
 
 
 def test_more_than_the_limit_is_refused_before_it_is_parsed(tmp_path: Path) -> None:
-    with pytest.raises(SpecError, match="9 bytes, more than 8"):
-        parse_json(b"[1,2,3,4]", source="x", limit=8)
     (tmp_path / "sparse.json").touch()
     with (tmp_path / "sparse.json").open("rb+") as file:
         file.truncate(1 << 40)

@@ -48,8 +48,8 @@ def encode_motion(motion: GarmentMotion) -> bytes:
     return pack(sections | steps, CODINGS)
 
 
-def decode_motion(data: Bytes, *, source: str = "motion") -> GarmentMotion:
-    """The garment in motion of a ``.motion.z``. Raises ``ShardError``, which names ``source``, for damaged data."""
+def decode_motion(data: Bytes) -> GarmentMotion:
+    """The garment in motion of a ``.motion.z``. Raises ``ShardError`` for damaged data."""
     try:
         if not (sections := unpack(data)):
             return NO_FRAMES
@@ -66,7 +66,7 @@ def decode_motion(data: Bytes, *, source: str = "motion") -> GarmentMotion:
         start = np.rint(first / MOTION_STEP).astype(np.int64)
         later = start + np.cumsum(ways.reshape(vertices, frames - 1, 3).transpose(1, 0, 2), axis=0)
     except (ShardError, KeyError, ValueError) as error:
-        raise ShardError(f"{source}: not a whole garment in motion ({error}): make or fetch it again") from error
+        raise ShardError(f"not a whole garment in motion ({error}): make or fetch it again") from error
     positions = np.concatenate([first[None], (later * MOTION_STEP).astype(np.float32)])
     poses = [
         Pose({name: tuple(turn) for name, turn in zip(names, row, strict=True)}, f"frame {number}")

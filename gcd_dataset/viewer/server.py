@@ -1,8 +1,8 @@
 """The interactive viewer: a web server on this machine whose pages turn over garments, or design one by hand.
 
 Each garment is shown by its self-contained page (``page``), in a frame below a bar to move and filter. Only this
-machine can reach the server, unless another address is given, and only with the token in the printed address, which
-its pages send as a cookie: other users of the machine do not have it.
+machine can reach the server, and only with the token in the printed address, which its pages send as a cookie: other
+users of the machine do not have it.
 """
 
 import atexit
@@ -226,7 +226,6 @@ def serve(
     site: Gallery | ShownDesign,
     *,
     port: int = 0,
-    host: str = HOST,
     show: Callable[[str], Any] | None = None,
     started: Callable[[ThreadingHTTPServer], None] | None = None,
 ) -> None:
@@ -237,11 +236,11 @@ def serve(
     """
     token = secrets.token_urlsafe()
     try:
-        server = _Server((host, port), _handler(site, host, token))
+        server = _Server((HOST, port), _handler(site, token))
     except OSError as error:
         site.close()
         raise ConfigError(f"--port {port}: {error.strerror}: give another port, or none") from error
-    (show or _announce)(f"http://{host}:{server.server_port}/?token={token}")
+    (show or _announce)(f"http://{HOST}:{server.server_port}/?token={token}")
     if started is not None:
         started(server)
     try:
@@ -277,7 +276,7 @@ class _Server(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
 
-def _handler(site: Gallery | ShownDesign, host: str, token: str) -> type[BaseHTTPRequestHandler]:
+def _handler(site: Gallery | ShownDesign, token: str) -> type[BaseHTTPRequestHandler]:
     name = f"gcd_{secrets.token_hex(4)}"  # its own: browsers share the cookies of all ports of a machine
 
     class Handler(BaseHTTPRequestHandler):
@@ -315,8 +314,7 @@ def _handler(site: Gallery | ShownDesign, host: str, token: str) -> type[BaseHTT
             has_token = any(secrets.compare_digest(one.encode(), f"{name}={token}".encode()) for one in given)
             # Else another user, or a foreign page whose name resolves to this machine.
             named = self.headers.get("Host", "")
-            is_here = (named.rpartition(":")[0] or named) in LOCAL
-            is_own = has_token and (is_here or host not in LOCAL)
+            is_own = has_token and (named.rpartition(":")[0] or named) in LOCAL
             try:
                 status, kind, content = made(url.path, query) if is_own else _failed(HTTPStatus.FORBIDDEN, REFUSAL)
             except Exception as error:  # noqa: BLE001 -- the page shows it, the server goes on

@@ -51,8 +51,8 @@ def test_a_motion_comes_back_as_it_is_stored() -> None:
 )
 def test_damaged_motions_are_named(spoil: Callable[[bytes], bytes]) -> None:
     assert set(unpack(encode_motion(flag(3)))) == {*NAMES, "steps"}
-    with pytest.raises(ShardError, match=r"shirt.motion.z: not a whole garment in motion"):
-        decode_motion(spoil(encode_motion(flag(3))), source="shirt.motion.z")
+    with pytest.raises(ShardError, match=r"^not a whole garment in motion"):
+        decode_motion(spoil(encode_motion(flag(3))))
 
 
 def test_motions_without_numbers_are_refused() -> None:
