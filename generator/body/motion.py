@@ -95,18 +95,19 @@ def read_motion(path: str | Path, *, fps: float = 30.0, body: Body | None = None
     return _poses(own, seconds, fps, str(path), first)
 
 
-def _at_rate(turns: Rotation, seconds: float, fps: float) -> tuple[Rotation, Float[np.ndarray, " k"]]:
-    """Rotations ``seconds`` apart, interpolated to ``fps`` a second, and the time of each in frames of the file."""
-    last = len(turns) - 1
+def _sampled(
+    own: Sequence[Rotation], seconds: float, fps: float
+) -> tuple[Float[np.ndarray, "k b 3"], Float[np.ndarray, " k"]]:
+    """Rotation vectors of bones whose frames are ``seconds`` apart, ``fps`` a second, and their times in frames."""
+    last = len(own[0]) - 1
     times = np.arange(int(last * seconds * fps + 1e-6) + 1) / (fps * seconds)
-    return (Slerp(np.arange(last + 1), turns)(times) if last else turns), times
+    return np.stack([(Slerp(np.arange(last + 1), turn)(times) if last else turn).as_rotvec() for turn in own], 1), times
 
 
 def _poses(own: Sequence[Rotation], seconds: float, fps: float, path: str, first: int = 0) -> list[Pose]:
     """Poses of the rotations of ``BONES`` relative to their parents, ``first`` frames after the first of a file."""
-    vectors = [_at_rate(turn, seconds, fps)[0].as_rotvec() for turn in own]
-    times = _at_rate(own[0], seconds, fps)[1]
-    turns = np.stack([each @ axes for each, axes in zip(vectors, rig().axes, strict=True)], axis=1)
+    vectors, times = _sampled(own, seconds, fps)
+    turns = (vectors[:, :, None] @ rig().axes)[:, :, 0]
     limits = np.radians([LIMITS[side_and_kind(bone)[1]] for bone in BONES])
     within = np.clip(turns, *np.moveaxis(limits, 2, 0))
     beyond = np.degrees(np.abs(turns - within))
@@ -281,10 +282,12 @@ def _model_poses(turns: Mapping[str, Rotation], seconds: float, fps: float, mode
     turns = _facing_z(turns, JOINTS[0])
     whole = {name: turn * home[name].inv() for name, turn in turns.items() if name in home}
     own = {name: whole[PARENT[name]].inv() * turn if name in PARENT else turn for name, turn in whole.items()}
-    vectors = np.stack([_at_rate(turn, seconds, fps)[0].as_rotvec() for turn in own.values()], axis=1).tolist()
+    vectors, times = _sampled(list(own.values()), seconds, fps)
     return [
-        Pose({JOINT + name: tuple(turn) for name, turn in zip(own, row, strict=True)}, f"{path}, pose {number}")
-        for number, row in enumerate(vectors, 1)
+        Pose(
+            {JOINT + name: tuple(turn) for name, turn in zip(own, row, strict=True)}, f"{path}, frame {round(time) + 1}"
+        )
+        for time, row in zip(times.tolist(), vectors.tolist(), strict=True)
     ]
 
 

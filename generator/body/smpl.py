@@ -175,7 +175,7 @@ def t_pose() -> Float[np.ndarray, "22 3 3"]:
 
 
 def _read_betas(given: Betas) -> Float[np.ndarray, " k"]:
-    if isinstance(given, str | Path) and Path(given).suffix == ".npz":
+    if isinstance(given, str | Path) and Path(given).suffix.lower() == ".npz":
         return _arrays(Path(given), {"betas": "betas"}, "an NPZ file with betas")["betas"].astype(float)
     try:
         numbers = np.array(str(given).split(",") if isinstance(given, str | Path) else given, float)
