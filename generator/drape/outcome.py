@@ -151,6 +151,7 @@ KEEPS_CROSSINGS = (Outcome.SETTLED, Outcome.THROUGH_BODY, Outcome.THROUGH_ITSELF
 
 
 FINISHES = 5  # most times that cloth moves off the skin: each time by a share of its distance from other cloth
+OVER_CLOTH = 15  # the same for cloth over a worn garment: a hem stands out further than a finger
 
 
 def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> Resumable[list[Drape]]:
@@ -168,7 +169,9 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     crossing = (crossings > 0) & (status == DONE)
     if solver.config.untangling_steps and crossing.any():
         yield from untangle(solver, crossing)
-    for _ in range(FINISHES if solver.config.exact_finish else 1):
+    most = np.zeros(model.n_worlds, int)
+    most[list(worlds)] = [OVER_CLOTH if job.under else FINISHES for job in jobs]
+    for number in range(1, 1 + (int(most.max()) if solver.config.exact_finish else 1)):
         with launch_lock:
             if solver.config.exact_finish:
                 solver.leave_skin(chosen)
@@ -177,9 +180,10 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
             results = [*(solver.counted(kernel, every) for kernel in CROSSING_COUNTS), solver.stretches(), state.x]
         self_crossings, body_crossings, body_through, stretches, x = yield from fetch(*results)
         pierced = (body_crossings + body_through > 0) & (body_crossings <= solver.config.max_body_crossings)
-        if not (pierced & (status == DONE)).any():
+        pierced &= (status == DONE) & (number < most)
+        if not pierced.any():
             break
-        chosen = solver.chosen(pierced & (status == DONE))
+        chosen = solver.chosen(pierced)
     drapes = []
     for job, w in zip(jobs, worlds, strict=True):
         vertices = np.array(x[model.vertices[w]], np.float32)
