@@ -75,7 +75,7 @@ def rehearse(work: Path) -> None:
     (DIST / "NOTES.md").write_text(notes())
     sums = [f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}" for path in (wheel, sdist)]
     (DIST / "SHA256SUMS").write_text("\n".join([*sums, ""]))
-    print("written:", *(f"dist/{path.name}" for path in sorted(DIST.iterdir())))
+    print("written:", *(f"dist/{path.name}" for path in sorted(DIST.glob("[!.]*"))))
 
 
 def build(work: Path) -> tuple[Path, Path]:

@@ -157,8 +157,9 @@ def test_licenses_are_those_of_the_hub(both: Path, tmp_path: Path) -> None:
 
 
 def test_the_library_of_the_hub_downloads_every_file(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
-    cache = {"endpoint": hub.endpoint, "cache_dir": tmp_path}
-    found = huggingface_hub.snapshot_download("org/garments", repo_type="dataset", **cache)
+    found = huggingface_hub.snapshot_download(
+        "org/garments", repo_type="dataset", endpoint=hub.endpoint, cache_dir=tmp_path
+    )
     assert read_folder(Path(found)) == read_folder(folder)
 
 
