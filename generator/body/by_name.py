@@ -40,9 +40,8 @@ def named_body(
     if shape is None:
         return *read_body(name_or_path, measurements, segmentation, height=height, betas=betas), None
     if segmentation is not None or height is not None or betas is not None:
-        raise BodyError(
-            f"{name_or_path}: a named body has known parts, height and shape: leave segmentation, height and betas out"
-        )
+        told = "a named body has known parts and height: leave segmentation, height and betas out"
+        raise BodyError(f"{name_or_path}: {told}")
     body, size = build_body(shape, name=str(name_or_path)), measure(build_body(replace(shape, legs_apart=False)))
     if measurements is None:
         return body, size, shape
