@@ -13,7 +13,7 @@ import os
 import tarfile
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Self
@@ -26,6 +26,7 @@ from gcd_dataset.files import make_folder, open_regular, open_whole, safe_name, 
 from gcd_dataset.records import Record
 from gcd_dataset.release.published_names import ENDINGS, REMEDY
 from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.tar import BLOCK, padded
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -33,8 +34,11 @@ SCHEMA = 2
 KINDS = ("spec", "design", "measures", "box", "sim", "segmentation", "vertex_labels", "front", "back")
 """The kinds of file that are kept."""
 LEVEL = 1  # of zlib: coordinates hardly compress, and higher levels take several times as long
-CHUNK = 1 << 20  # bytes read at a time
-DAMAGED = (zlib.error, EOFError, tarfile.TarError, gzip.BadGzipFile)
+CHUNK = 1 << 20  # bytes skipped at a time
+DAMAGED = (zlib.error, EOFError, tarfile.HeaderError, gzip.BadGzipFile)
+LARGEST_CONTENT = 1 << 62  # bytes of an unpacked archive
+LARGEST = 1 << 28  # bytes of one file of a garment; a published mesh has 2 MB
+MOST_GARMENTS = 1 << 20  # per archive; published archives have 5,000
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,19 +143,46 @@ def _garments(stream: gzip.GzipFile, kept: BinaryIO) -> dict[str, dict[str, tupl
     """Garment to kind of file to (offset, size) in ``kept``, to which the files are written."""
     kind_of = {ENDINGS[kind]: kind for kind in KINDS}
     garments: dict[str, dict[str, tuple[int, int]]] = {}
-    with tarfile.open(fileobj=stream, mode="r|", bufsize=CHUNK) as archive:
-        for info in archive:
-            parts = PurePosixPath(info.name).parts
-            if info.isdir() and parts and parts[-1] not in ("data", "."):
-                garments.setdefault(parts[-1], {})
-            elif info.isreg() and len(parts) > 1 and parts[-1].startswith(parts[-2]):
-                files = garments.setdefault(parts[-2], {})
-                kind, file = kind_of.get(parts[-1].removeprefix(parts[-2])), archive.extractfile(info)
-                if kind is not None and kind not in files and file is not None:
-                    files[kind] = (kept.tell(), kept.write(zlib.compress(file.read(), LEVEL)))
-    while stream.read(CHUNK):
-        pass  # to the checksum, which finds damage
+    for info in _entries(stream):
+        parts = PurePosixPath(info.name).parts
+        if info.isdir() and parts and parts[-1] not in ("data", "."):
+            garments.setdefault(parts[-1], {})
+        elif info.isreg() and len(parts) > 1 and parts[-1].startswith(parts[-2]):
+            files = garments.setdefault(parts[-2], {})
+            kind = kind_of.get(parts[-1].removeprefix(parts[-2]))
+            if kind is not None and kind not in files:
+                if info.size > LARGEST:
+                    raise tarfile.HeaderError(f"{shown(info.name)} of {info.size} bytes, over the limit of {LARGEST}")
+                packed = zlib.compress(stream.read(info.size), LEVEL)
+                files[kind] = (kept.tell(), kept.write(packed))
+        if len(garments) > MOST_GARMENTS:
+            raise tarfile.HeaderError(f"more than {MOST_GARMENTS} garments")
     return garments if any(garments.values()) else {}
+
+
+def _entries(stream: gzip.GzipFile) -> Iterator[tarfile.TarInfo]:
+    """The header of each entry, whose content may be read; reads the archive to its end."""
+    # Not ``TarFile``: it takes a damaged header for the end of the archive.
+    while header := stream.read(BLOCK):
+        begin = stream.tell()
+        if header == bytes(BLOCK):
+            _skip(stream, LARGEST_CONTENT)
+            return
+        try:
+            info = tarfile.TarInfo.frombuf(header, "utf-8", "surrogateescape")
+        except tarfile.HeaderError as error:
+            raise tarfile.HeaderError(f"no tar header at byte {begin - BLOCK} of its content") from error
+        if not 0 <= info.size < LARGEST_CONTENT:  # a negative size would loop forever
+            raise tarfile.HeaderError(f"{shown(info.name)} of {info.size} bytes at byte {begin - BLOCK} of its content")
+        yield info
+        _skip(stream, begin + padded(info.size) - stream.tell())
+        if stream.tell() < begin + info.size:
+            raise EOFError(f"ends in {shown(info.name)}")
+
+
+def _skip(stream: gzip.GzipFile, size: int) -> None:
+    while size and (skipped := len(stream.read(min(size, CHUNK)))):
+        size -= skipped
 
 
 def cache_path(source: Path, cache_dir: Path | None, ending: str) -> Path:
