@@ -222,8 +222,8 @@ def test_garments_of_a_folder_are_trained_on(
         str(tmp_path / "test"),
     ]
     assert main(tested) == 0
-    kept, tested_ones = (torch.load(tmp_path / name / "weights.pt", weights_only=True) for name in ("out", "test"))
-    assert all(torch.equal(value, kept[name]) for name, value in tested_ones.items())
+    kept, again = (torch.load(tmp_path / name / "weights.pt", weights_only=True) for name in ("out", "test"))
+    assert all(torch.equal(value, kept[name]) for name, value in again.items())
     assert json.loads((tmp_path / "test" / "report.json").read_text())["steps"] == 0
     assert main([*flags, "--resolution", "6"]) == 1
     assert "--resolution 6: the garments of --source are made" in capsys.readouterr().err
