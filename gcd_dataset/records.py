@@ -430,7 +430,7 @@ class Pattern(Record):
 POSITION_STEP = 2.0**-9
 """Draped positions are multiples of this [cm], so that what is judged is what shards store."""
 FPS = 30.0
-"""Usual frames of a motion a second."""
+"""Frames of a motion a second, where none are given."""
 MOTION_STEP = 2.0**-4
 """Positions of a garment in motion are multiples of this [cm] after its first frame."""
 UV_STEP = 2.0**-10
@@ -590,7 +590,7 @@ class GarmentMotion(Record):
     asked: int = 0
     """Frames of the whole motion of the body; this and ``ended`` are not in ``.motion.z``."""
     ended: Outcome = Outcome.SETTLED
-    """Outcome in the frame after the last of these, for which the motion ends early."""
+    """``SETTLED``, or the outcome of the next frame, which ended the motion."""
 
     @property
     def is_clean(self) -> Bool[np.ndarray, " t"]:

@@ -235,7 +235,7 @@ class Garments(Dataset[GarmentFields], ABC):
         if position is None:
             if not len(self):
                 raise UnknownKeyError(f"no garment {key!r:.99}: the data set is empty")
-            compared = [self._key(number) for number in range(min(len(self), MOST_COMPARED))]
+            compared = list(dict.fromkeys(map(self._key, range(min(len(self), MOST_COMPARED)))))
             digits = re.sub(r"[^0-9]", "", key)[:18]
             by_digits = [key_of(int(digits))] if digits else []
             near = [name for name in by_digits if name in compared] or get_close_matches(key, compared, n=3)

@@ -524,7 +524,7 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
             if "gap" in field
             else None,
             motion=replace(decode_motion(members[MOTION]), asked=moved["asked"], ended=Outcome[moved["ended"]])
-            if (moved := meta.get("motion"))
+            if MOTION in members and (moved := meta.get("motion"))
             else None,
             points=field["points"].astype(float) if len(field["points"]) else None,
             grade=Grade(meta["grade"]) if meta["grade"] else None,

@@ -24,7 +24,9 @@ from gcd_dataset.shards.layout import MOST_GARMENTS, MOST_VIEWS, SCHEMA, Bytes, 
 from gcd_dataset.shards.reader import ShardReader
 
 FORMAT = "gcd_dataset garments"
-MEMBER_OF = fields_of(garments_layout(caption=True, maps=True, views=MOST_VIEWS, garments=MOST_GARMENTS).members)
+MEMBER_OF = fields_of(
+    garments_layout(caption=True, maps=True, pose=True, views=MOST_VIEWS, garments=MOST_GARMENTS).members
+)
 """Field to member, of all fields that a file may hold."""
 
 

@@ -164,7 +164,7 @@ def read_model(path: Path, betas: Betas | None = None) -> ModelBody:
     held = model["shapedirs"].shape[2]
     held -= EXPRESSIONS.get(held, 0) if count == 55 else 0
     if len(numbers) > held:
-        raise BodyError(f"{path}: {len(numbers)} betas, the model takes {held}: leave out the last ones")
+        raise BodyError(f"{path}: {len(numbers)} betas, the model takes {held}: give the first {held} as numbers")
     template = template + model["shapedirs"][:, :, : len(numbers)] @ numbers
     return ModelBody(template, faces, model["J_regressor"] @ template, model["weights"], model["posedirs"])
 

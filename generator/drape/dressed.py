@@ -27,7 +27,7 @@ from gcd_dataset.generator.drape.kernels.field import (
 from gcd_dataset.generator.dressing.worn import WornCloth
 from gcd_dataset.meshedges import mesh_edges
 
-MOST_GAP = 1.0  # cm, of ``dressed_fields``
+MOST_GAP = 1.0  # cm, the largest gap of ``dressed_fields``
 FAR = 1.0e3  # cm, where no distance is needed
 
 Worn = tuple[BodyField, tuple[WornCloth, ...]]
@@ -95,19 +95,14 @@ def _measured(given: Sequence[Worn], device: str) -> dict[Worn, WornGarments]:
         ids = wp.array([mesh.id for mesh, _ in meshes], dtype=wp.uint64, device=device)
         made[field, under] = worn = WornGarments(meshes, ids, low, first, distance, part)
         layers.append(list(_voxels(field, under, worn, device)))
-    worn = wp.array(list(chain(*layers)), dtype=WornVoxels, device=device)
-    if len(worn):
-        wp.launch(
-            find_parts, (len(worn), max(len(entry.parts) for entry in chain(*layers))), [worn, ARMS], device=device
-        )
     for number in range(max(map(len, layers), default=0)):
         layer = [each[number] for each in layers if number < len(each)]
-        worn = wp.array(layer, dtype=WornVoxels, device=device)
-        most = max(entry.blocks.size for entry in layer)
-        cell = given[0][0].cell
-        wp.launch(measure_cloth_blocks, (len(layer), most), [worn, cell], device=device)
-        inputs = [worn, cell, BAND, MOST_GAP]
-        wp.launch(lower_to_cloth, (len(layer), most * int(BLOCK) ** 3), inputs, device=device)
+        entries, cell = wp.array(layer, dtype=WornVoxels, device=device), given[0][0].cell
+        points, blocks = max(len(entry.parts) for entry in layer), max(entry.blocks.size for entry in layer)
+        wp.launch(find_parts, (len(layer), points), [entries, ARMS], device=device)
+        wp.launch(measure_cloth_blocks, (len(layer), blocks), [entries, cell], device=device)
+        inputs = [entries, cell, BAND, MOST_GAP]
+        wp.launch(lower_to_cloth, (len(layer), blocks * int(BLOCK) ** 3), inputs, device=device)
     return made
 
 

@@ -11,9 +11,17 @@ import torch
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import walk
 from gcd_dataset.generator.recipe import layout_of_samples, recipe_of
-from gcd_dataset.loaders import GarmentDataset, GarmentLoader, GeneratedGarments, collate_packed, collate_padded
+from gcd_dataset.loaders import (
+    GarmentDataset,
+    GarmentLoader,
+    GeneratedGarments,
+    Hdf5Garments,
+    collate_packed,
+    collate_padded,
+)
 from gcd_dataset.records import FPS, MOTION_STEP, GarmentMotion, Outcome, Sample
-from gcd_dataset.shards import ShardWriter
+from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.motion import NO_FRAMES, motion_as_stored
 from tests.loaders.rendered import CONFIG
 
@@ -137,3 +145,12 @@ def test_made_garments_hold_their_motion_in_the_sample(tmp_path: Path, monkeypat
     for _ in range(2):  # made, and from the cache
         motion = made.sample(0).motion
         assert motion and motion.asked == len(motion.poses) == len(walk())
+
+
+def test_hdf5_keeps_poses_and_leaves_motions_out(folder: Path, moving: list[Sample], tmp_path: Path) -> None:
+    assert list(write_hdf5(ShardReader(folder), tmp_path / "train.h5")) == [0, 1, 2]
+    garments = Hdf5Garments(tmp_path / "train.h5")
+    assert garments.sample(0).motion is None
+    pose = moving[0].shape.pose if moving[0].shape else None
+    assert pose is not None
+    np.testing.assert_allclose(Hdf5Garments(tmp_path / "train.h5", fields=["pose"])[0]["pose"], pose.array, atol=1e-6)

@@ -97,6 +97,8 @@ def mark_body_crossings(
         through[i] = 1
         through[j] = 1
     length = wp.length(x[j] - x[i])
+    if length == 0.0:
+        return
     along = (x[j] - x[i]) / length
     for k in range(worlds[w].worn.shape[0]):
         hit = wp.mesh_query_ray(worlds[w].worn[k], x[i], along, length)

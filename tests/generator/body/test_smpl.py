@@ -266,7 +266,7 @@ def test_pickles_and_impossible_betas_are_refused(tmp_path: Path) -> None:
     for name, betas, told in (
         ("model.pkl", None, "model.pkl: a pickle, which may run code: save its arrays as NPZ"),
         ("text.npz", None, "text.npz: no NPZ file: give the NPZ file of an SMPL"),
-        ("model.npz", tmp_path / "amass.npz", "model.npz: 16 betas, the model takes 10: leave out the last ones"),
+        ("model.npz", tmp_path / "amass.npz", "model.npz: 16 betas, the model takes 10: give the first 10 as numbers"),
         ("model.npz", "1,a", "betas 1,a: give numbers with commas"),
         ("model.npz", [np.inf], r"betas \[inf\]: give numbers with commas"),
         ("model.npz", tmp_path / "model.npz", "model.npz: has no betas: give an NPZ file with betas"),
