@@ -39,6 +39,7 @@ from gcd_dataset.generator.sized import Cut, lifted
 from gcd_dataset.generator.svg import nest_svg, pattern_svg
 from gcd_dataset.outfits import joined_drape, joined_mesh, joined_pattern
 from gcd_dataset.records import (
+    FPS,
     Body,
     BoxMesh,
     Drape,
@@ -310,7 +311,7 @@ def drape_moving(
     wearer: Callable[[bool], tuple[Body, Measurements]],
     poses: Sequence[Pose],
     *,
-    fps: float = 30.0,
+    fps: float = FPS,
     fabric: Fabric = FABRICS[DEFAULT_FABRIC],
     resolution: float = 1.0,
     device: str = "auto",

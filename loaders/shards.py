@@ -280,7 +280,7 @@ class GarmentDataset(Garments):
 
     @property
     def _read_fields(self) -> tuple[str, ...]:
-        """The stored fields from which those of an item are made."""
+        """The stored fields that an item is made of."""
         return self.fields
 
     def __len__(self) -> int:

@@ -25,7 +25,7 @@ from gcd_dataset.generator.body.pose import (
     side_and_kind,
 )
 from gcd_dataset.generator.body.smpl import BONE_OF, JOINTS, PARENT, ModelBody, read_turns, t_pose
-from gcd_dataset.records import BONES, Body, Pose
+from gcd_dataset.records import BONES, FPS, Body, Pose
 
 log = logging.getLogger(__name__)
 
@@ -60,15 +60,15 @@ class _Joint:
         return np.asarray(self.offset) + (self.parent.at if self.parent else 0.0)
 
 
-def read_motion(path: str | Path, *, fps: float = 30.0, body: Body | None = None) -> list[Pose]:
+def read_motion(path: str | Path, *, fps: float = FPS, body: Body | None = None) -> list[Pose]:
     """The poses of a BVH or AMASS file, ``fps`` a second, interpolated between its frames.
 
     The motion starts facing z, and the body keeps its own lengths and stands on the floor at its place: the translation
     of the root is not read.
 
-    Joints of BVH have CMU's names (``Hips``, ``LeftUpLeg``, …), or those of ``BONES``; y is up, and the rest pose
-    stands facing z, straight limbs in any direction; units do not matter. CMU's files begin with a T-pose: the first
-    frame is left out if its root has no rotation and that of the last frame has one.
+    BVH names its joints as CMU does (``Hips``, ``LeftUpLeg``, …) or as ``BONES`` does. Its y axis points up, and its
+    rest pose faces z, with straight limbs in any direction; units do not matter. CMU's files begin with a T-pose: the
+    first frame is left out if its root has no rotation and that of the last frame has one.
 
     ``body`` of a model file takes all joints of an AMASS file (NPZ) as they are. Other bodies take those of trunk and
     limbs, as if the zero pose were their ``t-pose``; hands keep to the forearm, and the spine has two bones.
@@ -360,7 +360,7 @@ GAITS = {
 ARM_SPREAD, LEG_SPREAD = -12.0, 5.0  # degrees off the A-pose: hands clear of the hips, thighs of each other
 
 
-def walk(gait: Gait = GAITS["walk"], *, cycles: float = 2.0, fps: float = 30.0, name: str = "walk") -> list[Pose]:
+def walk(gait: Gait = GAITS["walk"], *, cycles: float = 2.0, fps: float = FPS, name: str = "walk") -> list[Pose]:
     """The poses of a body that walks on the spot, ``fps`` a second, from standing; a cycle is a step of each leg."""
     _require_rate(fps)
     frames = int(cycles * 120.0 / gait.cadence * fps) + 1
@@ -403,7 +403,7 @@ def _pulse(phase: float, at: float, sharpness: float) -> float:
     return float(np.exp(sharpness * (np.cos(2.0 * np.pi * (phase - at)) - 1.0)))
 
 
-def named_motion(name_or_path: str | Path, *, fps: float = 30.0, body: Body | None = None) -> list[Pose]:
+def named_motion(name_or_path: str | Path, *, fps: float = FPS, body: Body | None = None) -> list[Pose]:
     """The poses of a gait of ``GAITS``, two cycles, or of a BVH or AMASS file.
 
     Raises ``BodyError`` for an unknown name, and as ``read_motion`` does.

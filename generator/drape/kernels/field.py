@@ -199,6 +199,14 @@ def is_voxel_of(field: wp.array3d(dtype=float), at: wp.vec3i) -> bool:
     return at[0] < field.shape[0] and at[1] < field.shape[1] and at[2] < field.shape[2]
 
 
+@wp.func
+def distance_at(field: wp.array3d(dtype=float), at: wp.vec3i, beyond: float) -> float:
+    """The value of a voxel [cm]; ``beyond`` outside of the field."""
+    if is_voxel_of(field, at):
+        return field[at[0], at[1], at[2]]
+    return beyond
+
+
 @wp.kernel
 def find_parts(worn: wp.array(dtype=WornVoxels), arms: int):
     """Name the part of the arm at each vertex of a sleeve, such as the forearm; ``arms``: bit set of these parts."""
@@ -242,11 +250,7 @@ def lower_to_cloth(worn: wp.array(dtype=WornVoxels), cell: float, band: float, m
     if not is_voxel_of(cloth.distance, at):
         return
     middle = cloth.blocks[block_at[0], block_at[1], block_at[2]]
-    skin = band
-    in_field = at - cloth.first
-    if is_voxel_of(cloth.body, in_field):
-        skin = cloth.body[in_field[0], in_field[1], in_field[2]]
-    least = wp.min(skin, cloth.distance[at[0], at[1], at[2]])
+    least = wp.min(distance_at(cloth.body, at - cloth.first, band), cloth.distance[at[0], at[1], at[2]])
     if middle - HALF_BLOCK * cell - most_gap > least or least < UNDER_SKIN:
         return
     p = cloth.low + cell * wp.vec3(float(at[0]), float(at[1]), float(at[2]))
@@ -274,15 +278,14 @@ def dress_fields(bodies: wp.array(dtype=DressedVoxels), band: float):
     at = unravel_index(number, body.distance.shape[1], body.distance.shape[2])
     if at[0] >= body.distance.shape[0]:
         return
-    skin = band
-    part = wp.uint8(0)
     in_field = at - body.first
-    if is_voxel_of(body.body, in_field):
-        skin = body.body[in_field[0], in_field[1], in_field[2]]
-        part = body.body_part[in_field[0], in_field[1], in_field[2]]
+    skin = distance_at(body.body, in_field, band)
     away = body.cloth[at[0], at[1], at[2]] - body.gap
+    part = wp.uint8(0)
     if away < skin and skin >= UNDER_SKIN:
         skin = away
         part = body.cloth_part[at[0], at[1], at[2]]
+    elif is_voxel_of(body.body, in_field):
+        part = body.body_part[in_field[0], in_field[1], in_field[2]]
     body.distance[at[0], at[1], at[2]] = skin
     body.part[at[0], at[1], at[2]] = part
