@@ -60,6 +60,7 @@ CASES: Mapping[str, str] = {
     "generated": "benchmarks.cases.generated",
     "loaders": "benchmarks.cases.loaders",
     "measures": "benchmarks.cases.measures",
+    "outfits": "benchmarks.cases.outfits",
     "parity": "benchmarks.cases.parity",
     "patterns": "benchmarks.cases.patterns",
     "remote": "benchmarks.cases.remote",

@@ -78,8 +78,10 @@ def run(options: argparse.Namespace) -> CaseResult:
     )
 
 
-def written(config: MakeConfig, options: argparse.Namespace, note: Callable[[dict[str, Any]], None]) -> list[Figure]:
-    """Write ``options.count`` garments to shards; the rate from the first to the last, and the GPU's load meanwhile.
+def written(
+    config: MakeConfig, options: argparse.Namespace, note: Callable[[dict[str, Any]], None], *, untimed: int = 1
+) -> list[Figure]:
+    """Write ``options.count`` garments to shards; the rate after the first ``untimed``, and the GPU's load meanwhile.
 
     ``note`` is called with the metadata of each garment.
     """
@@ -92,10 +94,10 @@ def written(config: MakeConfig, options: argparse.Namespace, note: Callable[[dic
         made = produce(options.seed, range(options.count), config, workers=options.workers, finished=encode_sample)
         for index, members in enumerate(made):
             writer.add(index, members)
-            if not begun:
+            if index + 1 == untimed:
                 begun, load = time.perf_counter(), measured.enter_context(gpu_load(devices[0]))
             note(json.loads(members["meta.json"]))
-        rate = (options.count - 1) / (time.perf_counter() - begun)
+        rate = (options.count - untimed) / (time.perf_counter() - begun)
     figures = [Figure("garments_per_s", rate, "garments")]
     if load.watts:
         figures.append(Figure("gpu_waits", load.idle, "of the time"))

@@ -12,7 +12,6 @@ import warp as wp
 from jaxtyping import Int
 
 from gcd_dataset.errors import ConfigError, DrapeError
-from gcd_dataset.generator.body.pose import pose_body
 from gcd_dataset.generator.device import Resumable, cores, resolve_device
 from gcd_dataset.generator.drape.batches import PreparedJob, drape_unordered
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
@@ -30,6 +29,8 @@ DEFAULT = DrapeConfig()
 AT_ONCE = 128  # garments in a GPU batch: at 1 cm they fill an H200
 GARMENT_BYTES = 120e6  # GPU memory reserved per garment; measured: 100 MB at 1 cm, 12 000 vertices on average
 PREPARERS = 4  # threads that prepare jobs for a GPU
+MOVING_ROOM = 2  # factor of the room for contacts of a garment in motion
+ENDS_MOTION = (Outcome.DIVERGED, Outcome.FELL, Outcome.SLID_OFF, Outcome.OVERFULL)
 MEMORY_SHARE = 0.7  # share of a GPU's free memory that a batch may take
 
 
@@ -103,48 +104,67 @@ def drape_motion(
     ``frames`` since the first, are ``SETTLED`` though they move, and keep their crossings. A garment that slides off,
     falls or diverges ends the sequence after its drape. Raises ``BodyError`` for an impossible pose.
     """
-    device, numbered = resolve_device(device), iter(poses)
-    if (first := next(numbered, None)) is None:
+    device, poses = resolve_device(device), list(poses)
+    if not poses:
         return
-    job = replace(job, pose=first)
+    way = Motion.through(job.body, poses)
+    job = replace(job, pose=poses[0])
     [rest] = drape_batch([job], config, device=device)
     yield rest
-    yield from drape_on(job, rest, numbered, config, fps=fps, device=device)
+    for _, drape in drape_on([PreparedJob.of(job)], [rest], [way], config, fps=fps, device=device):
+        yield drape
 
 
 def drape_on(
-    job: DrapeJob,
-    rest: Drape,
-    poses: Iterable[Pose],
+    prepared: Sequence[PreparedJob],
+    rests: Sequence[Drape],
+    ways: Sequence[Motion],
     config: DrapeConfig = DEFAULT,
     *,
     fps: float = FPS,
     device: str = "auto",
-) -> Iterator[Drape]:
-    """The later drapes of ``drape_motion``, from the one in ``job.pose``; none of a garment that is not at rest."""
-    if rest.outcome not in KEEPS_CROSSINGS:
+) -> Iterator[tuple[int, Drape]]:
+    """The later drapes of ``drape_motion`` of several garments, in one batch, each with the number of its job.
+
+    ``rests``: the drapes in the first poses. ``ways``: the motion of each body, a key for each pose. Of a garment that
+    is not at rest there are none.
+    """
+    numbers = [k for k, rest in enumerate(rests) if rest.outcome in KEEPS_CROSSINGS and len(ways[k].keys) > 1]
+    if not numbers:
         return
-    device, first = resolve_device(device), job.pose
-    assert first is not None
-    config = replace(config, untangling_steps=0)
-    here = pose_body(job.body, first)
-    model = build_model([replace(job, body=here)], config, device)
-    slots = Slots(sum(rooms_of(model)), 1, config, device)
-    slots.place(model, [CoarseEnd.at_rest(rest.vertices, config.sewing_time + config.held_time, device)])
-    slots.move(0, Motion.of([here, here], job.body), ends=False)
-    for pose in poses:
-        there = pose_body(job.body, pose)
-        slots.move_on(0, Motion.of([here, there], job.body), 1.0 / fps)
-        for _ in range(slots.solver.moving[0].frames):
-            slots.solver.frame()
-        slots.solver.moving[0].arrive()
-        moving = wp.clone(slots.solver.state.x)  # the finish is for the drape alone: the cloth moves on as it was
-        [drape] = _at_once(collect(slots.solver, [job], [0]))
-        wp.copy(slots.solver.state.x, moving)
-        yield replace(drape, outcome=Outcome.SETTLED) if drape.outcome is Outcome.NOT_SETTLED else drape
-        if drape.outcome in (Outcome.DIVERGED, Outcome.FELL, Outcome.SLID_OFF, Outcome.OVERFULL):
-            return
-        here = there
+    device, config = resolve_device(device), replace(config, untangling_steps=0)
+    given = [prepared[k] for k in numbers]
+    model = build_model(
+        [each.job for each in given],
+        config,
+        device,
+        rooms=[MOVING_ROOM] * len(given),
+        constraints=[each.constraints for each in given],
+        fields=[each.field for each in given],
+    )
+    slots, time = Slots(sum(rooms_of(model)), len(given), config, device), config.sewing_time + config.held_time
+    worlds = slots.place(model, [CoarseEnd.at_rest(rests[k].vertices, time, device) for k in numbers])
+    number_in, solver = dict(zip(worlds, numbers, strict=True)), slots.solver
+    for w, k in number_in.items():
+        way = ways[k]
+        slots.move(w, replace(way, keys=(way.home, way.keys[0]), axes=2 * way.axes[:1]), ends=False)
+        slots.move_on(w, way, 1.0 / fps)
+    while number_in:
+        solver.frame()
+        arrived = [w for w in number_in if solver.moving[w].is_at_key]
+        for w in arrived:
+            solver.moving[w].arrive()
+        moving = wp.clone(solver.state.x)  # the finish is for the drape alone: the cloth moves on as it was
+        drapes = _at_once(collect(solver, [prepared[number_in[w]].job for w in arrived], arrived))
+        wp.copy(solver.state.x, moving)
+        for w, drape in zip(arrived, drapes, strict=True):
+            yield (
+                number_in[w],
+                replace(drape, outcome=Outcome.SETTLED) if drape.outcome is Outcome.NOT_SETTLED else drape,
+            )
+            if drape.outcome in ENDS_MOTION or solver.moving[w].frame == solver.moving[w].frames:
+                del number_in[w]
+                slots.free([w])
 
 
 def garment_motion(

@@ -65,6 +65,15 @@ class Motion:
         ]
         return cls.of([body, *(pose_body(body, Pose(turns)) for turns in parts), pose_body(body, pose)])
 
+    @classmethod
+    def through(cls, body: Body, poses: Sequence[Pose]) -> Self:
+        """The motion of a body in the A-pose through poses, a key for each. Raises ``BodyError``: see ``pose_body``."""
+        return cls.of([pose_body(body, pose) for pose in poses], body)
+
+    def part(self, first: int, last: int) -> Self:
+        """The motion from one of its keys to another."""
+        return replace(self, keys=self.keys[first : last + 1], axes=self.axes[first : last + 1])
+
     @property
     def seconds(self) -> float:
         """Its time [s], so that the fastest point has the mean speed ``SPEED``."""
@@ -110,10 +119,24 @@ class MovingSkin:
         self.mesh.refit()
         self.frame += 1
 
+    @property
+    def key(self) -> int:
+        """The number of the nearest key."""
+        return round(self._along(self.frame))
+
+    @property
+    def is_at_key(self) -> bool:
+        """Whether the cloth is where the skin reaches a key."""
+        return self.frame * (self.keys.shape[0] - 1) % self.frames == 0
+
     def arrive(self) -> None:
-        """Move the mesh to the end of the motion, where the cloth is: ``advance`` leaves it a frame earlier."""
-        wp.copy(self.mesh.points, self.keys[-1], count=len(self.mesh.points))
+        """Move the mesh to the key where the cloth is: ``advance`` leaves it a frame earlier."""
+        wp.copy(self.mesh.points, self.keys[self.key], count=len(self.mesh.points))
         self.mesh.refit()
+
+    def undone(self, points: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
+        """Points [cm] moved with the trunk from where it is back to the A-pose."""
+        return self.motion.part(self.key, self.key).undone(points)
 
     def _along(self, frame: int) -> float:
         """How many keys lie behind the skin at a frame."""

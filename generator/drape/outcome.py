@@ -200,7 +200,7 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
         )
         moved = solver.moving.get(w)
         if moved and np.isfinite(vertices).all():
-            drape = replace(drape, vertices=moved.motion.undone(vertices))
+            drape = replace(drape, vertices=moved.undone(vertices))
         outcome, reason = _judge(job, drape, solver.config, int(status[w]), overfull=bool(overfull[w]))
         drapes.append(replace(drape, vertices=vertices, outcome=outcome, reason=reason))
     return drapes

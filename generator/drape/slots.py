@@ -163,9 +163,9 @@ class Slots:
         solver.rebuild_bvh_next()
 
     def move_on(self, w: int, motion: Motion, seconds: float) -> None:
-        """Let a body that moves without an end move further, in the nearest number of frames to a time [s]."""
+        """Let a body that moves without an end go on, a key every ``seconds`` to the nearest frame."""
         skin = self.solver.moving[w]
-        frames = max(round(seconds / skin.seconds), 1)
+        frames = max(round(seconds / skin.seconds), 1) * (len(motion.keys) - 1)
         self.solver.moving[w] = replace(
             skin, motion=motion, keys=self._keys(motion), frames=frames, gently=False, frame=0
         )

@@ -234,11 +234,13 @@ class SharedDraper:
 
     def send(self, request: DrapeRequest) -> None:
         from gcd_dataset.generator.drape.batches import PreparedJob
+        from gcd_dataset.generator.drape.moving import Motion
 
         request.job.require_drapeable()
         if request.prepared is None:
             with contextlib.suppress(Exception):  # raised again in the drape
-                request = replace(request, prepared=PreparedJob.of(request.job))
+                way = Motion.through(request.job.body, request.motion) if request.motion else None
+                request = replace(request, prepared=PreparedJob.of(request.job), way=way)
         try:
             send_object(self._connection, request)
         except OSError as error:

@@ -16,6 +16,7 @@ from gcd_dataset.records import Body, BoxMesh, Drape, GarmentMotion, Maps, Pose,
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
     from gcd_dataset.generator.drape.batches import PreparedJob
+    from gcd_dataset.generator.drape.moving import Motion
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ class DrapeRequest:
     """The garments of ``job.under`` that the pictures show too."""
     prepared: "PreparedJob | None" = None
     """The job with its host data, made by a sender in another process."""
+    way: "Motion | None" = None
+    """The body through ``motion``, made likewise."""
 
     @cached_property
     def body(self) -> Body:
@@ -110,18 +113,26 @@ def make_reply(request: DrapeRequest, drape: Drape, device: str, *, seconds: flo
         from gcd_dataset.generator.drape import maps_of
 
         maps = maps_of(request.job, drape, device=device)
-    views, motion = _views(request, drape, device), moved(request, drape, device)
+    views, [motion] = _views(request, drape, device), moved([request], [drape], device)
     return DrapeReply(request.number, drape, pictures, seconds, views, maps, motion)
 
 
-def moved(request: DrapeRequest, drape: Drape, device: str) -> GarmentMotion | None:
-    """The motion of a request's garment, whose first frame is ``drape``; ``None`` if its body stays."""
-    if not request.motion:
-        return None
+def moved(requests: Sequence[DrapeRequest], drapes: Sequence[Drape], device: str) -> list[GarmentMotion | None]:
+    """The motion of each request's garment, whose first frame is its drape; ``None`` where its body stays."""
+    from gcd_dataset.generator.drape.batches import PreparedJob
     from gcd_dataset.generator.drape.drape import drape_on, garment_motion
+    from gcd_dataset.generator.drape.moving import Motion
 
-    later = drape_on(request.job, drape, request.motion[1:], device=device)
-    return garment_motion([drape, *later], request.job.box_mesh.faces, request.motion)
+    frames = [[drape] for drape in drapes]
+    moving = [k for k, request in enumerate(requests) if request.motion]
+    prepared = [requests[k].prepared or PreparedJob.of(requests[k].job) for k in moving]
+    ways = [requests[k].way or Motion.through(requests[k].job.body, requests[k].motion) for k in moving]
+    for number, drape in drape_on(prepared, [drapes[k] for k in moving], ways, device=device):
+        frames[moving[number]].append(drape)
+    return [
+        garment_motion(own, request.job.box_mesh.faces, request.motion) if request.motion else None
+        for request, own in zip(requests, frames, strict=True)
+    ]
 
 
 def _views(request: DrapeRequest, drape: Drape, device: str) -> tuple[RenderedView, ...]:

@@ -2,18 +2,20 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from gcd_dataset.generator.drape.drape import batch_capacity
 from gcd_dataset.generator.drape.maps import PendingMaps
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, moved
 from gcd_dataset.generator.render import PendingPictures, Scene, View, garment_scene, start_pictures
 from gcd_dataset.generator.render.plain import SIDES, start_plain
 from gcd_dataset.generator.views import RenderedView, finished_view, requested_scene, requested_views
-from gcd_dataset.records import Drape, Maps
+from gcd_dataset.records import Drape, GarmentMotion, Maps
 
 PIXELS = 16 * 512**2  # pixels of one rendering: 8 garments in two views, 0.2 GB of hits
 MAPPED = 8  # garments whose maps are computed at once, without pictures
+MOVED = 32  # garments that a GPU moves at once
 MAX_IN_FLIGHT = 2  # renderings: one runs while the next is prepared
 
 
@@ -24,6 +26,7 @@ class _PendingRequest:
     request: DrapeRequest
     drape: Drape
     reply: Callable[[DrapeReply], None]
+    motion: GarmentMotion | None = None
 
 
 class PictureQueue:
@@ -32,16 +35,38 @@ class PictureQueue:
     def __init__(self, device: str) -> None:
         self._device = device
         self._pending: list[_PendingRequest] = []
+        self._moving: list[_PendingRequest] = []
+        """Garments at rest whose bodies will move."""
         self._in_flight: deque[tuple[_Renderings, list[_PendingRequest]]] = deque()
 
     def add(self, request: DrapeRequest, drape: Drape, reply: Callable[[DrapeReply], None]) -> None:
         """Add a draped garment; this call, or a later call of any method, calls ``reply``."""
+        pending = _PendingRequest(request, drape, reply)
+        if not request.motion:
+            self._show(pending)
+            return
+        self._moving.append(pending)
+        if len(self._moving) >= self._most_moving():
+            self._move()
+
+    def _most_moving(self) -> int:
+        """Garments in motion at once, beside the batches that drape on; a CPU moves one at a time."""
+        return 1 if self._device == "cpu" else min(MOVED, batch_capacity(self._device, sharers=4))
+
+    def _move(self) -> None:
+        batch, self._moving = self._moving, []
+        motions = moved([one.request for one in batch], [one.drape for one in batch], self._device)
+        for one, motion in zip(batch, motions, strict=True):
+            self._show(replace(one, motion=motion))
+
+    def _show(self, pending: _PendingRequest) -> None:
+        request = pending.request
         if not request.picture and request.views is None and not request.maps:
-            reply(DrapeReply(request.number, drape, None, motion=moved(request, drape, self._device)))
+            pending.reply(DrapeReply(request.number, pending.drape, None, motion=pending.motion))
             return
         if self._pending and _sizes(self._pending[0].request) != _sizes(request):
             self._render()
-        self._pending.append(_PendingRequest(request, drape, reply))
+        self._pending.append(pending)
         views = request.views
         pixels = len(SIDES) * request.picture**2 + (0 if views is None else views.count * views.size**2)
         if len(self._pending) >= self._batch_size(pixels):
@@ -55,7 +80,9 @@ class PictureQueue:
             self._reply_first()
 
     def flush(self) -> None:
-        """Render and reply to all garments."""
+        """Move, render and reply to all garments."""
+        if self._moving:
+            self._move()
         if self._pending:
             self._render()
         while self._in_flight:
@@ -77,9 +104,8 @@ class PictureQueue:
         renderings, batch = self._in_flight.popleft()
         results = zip(batch, renderings.pictures(), renderings.views(), renderings.maps(), strict=True)
         for pending, pictures, views, maps in results:
-            request, drape = pending.request, pending.drape
-            motion = moved(request, drape, self._device)
-            pending.reply(DrapeReply(request.number, drape, pictures, views=views, maps=maps, motion=motion))
+            number, drape, motion = pending.request.number, pending.drape, pending.motion
+            pending.reply(DrapeReply(number, drape, pictures, views=views, maps=maps, motion=motion))
 
 
 class _Renderings:

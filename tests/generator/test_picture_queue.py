@@ -18,6 +18,7 @@ from gcd_dataset.generator.render import render_garment
 from gcd_dataset.records import Drape, Outcome
 from gcd_dataset.shards import decode_sample, encode_sample
 from gcd_dataset.shards.layout import garments_layout
+from tests.generator.drape.garments import still
 from tests.loaders import rendered
 
 GARMENTS = MakeConfig(stage="mesh", bodies="both", resolution=10.0)
@@ -85,9 +86,7 @@ def test_a_garment_in_motion_goes_on_from_its_drape(
     jobs: list[DrapeJob], monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:
     """With pictures and without."""
-    monkeypatch.setattr(
-        "gcd_dataset.generator.drape.drape.drape_on", lambda _, rest, later, **__: [rest for _ in later]
-    )
+    monkeypatch.setattr("gcd_dataset.generator.drape.drape.drape_on", still)
     request = DrapeRequest(7, jobs[0], picture=size, motion=tuple(walk()[:3]))
     replies: list[DrapeReply] = []
     queue = PictureQueue("cpu")

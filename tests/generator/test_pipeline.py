@@ -180,8 +180,8 @@ def test_a_motion_begins_with_the_draped_garment(steps: MakeConfig, tmp_path: Pa
 def test_a_motion_that_fails_keeps_its_frames(
     steps: MakeConfig, monkeypatch: pytest.MonkeyPatch, outcomes: tuple[str, ...], kept: int
 ) -> None:
-    def fail(job: object, rest: Drape, *_: object, **__: object) -> Iterator[Drape]:
-        yield from (replace(rest, outcome=Outcome[name]) for name in outcomes)
+    def fail(job: object, rests: Sequence[Drape], *_: object, **__: object) -> Iterator[tuple[int, Drape]]:
+        yield from ((0, replace(rests[0], outcome=Outcome[name])) for name in outcomes)
 
     monkeypatch.setattr("gcd_dataset.generator.drape.drape.drape_on", fail)
     meta = decode_field("meta", encode_sample(make(5, 1, steps)))

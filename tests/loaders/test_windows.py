@@ -23,6 +23,7 @@ from gcd_dataset.records import FPS, MOTION_STEP, GarmentMotion, Outcome, Sample
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.motion import NO_FRAMES, motion_as_stored
+from tests.generator.drape.garments import still
 from tests.loaders.rendered import CONFIG
 
 WALK = replace(CONFIG, views=0, poses="walk")
@@ -135,9 +136,7 @@ def test_garments_without_frames_hold_no_motion(folder: Path, worn_folder: Path)
 
 
 def test_made_garments_hold_their_motion_in_the_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "gcd_dataset.generator.drape.drape.drape_on", lambda _, rest, later, **__: [rest for _ in later]
-    )
+    monkeypatch.setattr("gcd_dataset.generator.drape.drape.drape_on", still)
     short = {"meta": {"upper": "none", "bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.2}}
     options = {"resolution": 10.0, "picture": 0, "device": "cpu", "poses": "walk", "design": short}
     made = GeneratedGarments(1, cache_dir=tmp_path, **options)  # type: ignore[arg-type]

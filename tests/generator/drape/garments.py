@@ -4,7 +4,7 @@ A limb is reduced to its axis, the straight line that fits its skin. A rim is a 
 a sleeve, an armhole, a hem.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.drape import DrapeJob, drape_batch
+from gcd_dataset.generator.drape.moving import Motion
 from gcd_dataset.generator.garments import GarmentDesign, draw_garment
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -172,3 +173,8 @@ def _rings(following: dict[int, list[int]]) -> Iterable[Int[np.ndarray, " n"]]:
             if not following[at]:
                 del following[at]
         yield np.array(ring[:-1])
+
+
+def still(_: object, rests: Sequence[Drape], ways: Sequence[Motion], **__: object) -> Iterator[tuple[int, Drape]]:
+    """In place of ``drape_on``: cloth that stays where it is."""
+    return ((k, rest) for k, rest in enumerate(rests) for _ in ways[k].keys[1:])

@@ -10,14 +10,16 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import named_pose, pose_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, drape_motion
 from gcd_dataset.generator.drape import moving as moving_module
+from gcd_dataset.generator.drape.batches import PreparedJob
 from gcd_dataset.generator.drape.body_field import AXES
+from gcd_dataset.generator.drape.drape import drape_on
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.moving import Motion
 from gcd_dataset.generator.drape.slots import Slots, rooms_of
 from gcd_dataset.generator.dressing.worn import WornCloth
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.records import Body, Outcome, Pose
+from gcd_dataset.records import Body, Drape, Outcome, Pose
 from tests.generator.drape.garments import Worn, neutral
 from tests.generator.drape.test_drape import SHEET, on_a_ball, on_a_table, table
 
@@ -145,3 +147,24 @@ def test_a_motion_yields_a_drape_for_each_pose() -> None:
     hems = [np.sort(drape.vertices[:, 2])[-10:].mean() for drape in drapes]
     assert hems[3] > hems[0] + 0.5  # the left thigh lifts the front
     assert list(drape_motion(job, [], device="cpu")) == []
+
+
+def test_garments_in_motion_are_those_of_each_alone() -> None:
+    """Two in a batch, of different lengths and motions, of which one ends earlier."""
+    body, size = neutral()
+    alone, jobs, ways = list[list[Drape]](), list[DrapeJob](), list[Motion]()
+    for length, bone, count in ((0.2, "left_thigh", 3), (0.4, "right_thigh", 5)):
+        design = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": length}})
+        job = DrapeJob(build_box_mesh(draw_garment(size, design), spacing=5.0), body, size)
+        poses = [Pose({bone: (0.06 * k, 0.0, 0.0)}) for k in range(count)]
+        alone.append(list(drape_motion(job, poses, device="cpu")))
+        jobs.append(replace(job, pose=poses[0]))
+        ways.append(Motion.through(body, poses))
+    together = [[drapes[0]] for drapes in alone]
+    prepared = [PreparedJob.of(job) for job in jobs]
+    for number, drape in drape_on(prepared, [drapes[0] for drapes in alone], ways, device="cpu"):
+        together[number].append(drape)
+    assert [len(drapes) for drapes in together] == [3, 5]
+    for one, other in zip(alone, together, strict=True):
+        for drape, same in zip(one, other, strict=True):
+            np.testing.assert_array_equal(drape.vertices, same.vertices)
