@@ -64,10 +64,10 @@ class Views(SceneTransform):
     torch.Size([8, 4, 256, 256, 3])
 
     An item gets ``views``, ``camera_k``, ``camera_rt``, ``panel_corners``, ``panel_corner_pixels``,
-    ``panel_corner_visible``, ``landmark_pixels``, ``landmark_visible`` and, for each of ``maps``, ``depth_map`` and so
-    on: ``GarmentFields`` has their shapes, units and conventions, ``generator.render.Picture`` those of the maps.
-    ``front`` and ``back``, the plain pictures, stay as they are. A garment that cannot be put on has black pictures,
-    the background in its maps, and zeros for cameras.
+    ``panel_corner_visible``, ``landmark_pixels``, ``landmark_visible``, ``keypoints`` and, for each of ``maps``,
+    ``depth_map`` and so on: ``GarmentFields`` has their shapes, units and conventions, ``generator.render.Picture``
+    those of the maps. ``front`` and ``back``, the plain pictures, stay as they are. A garment that cannot be put on has
+    black pictures, the background in its maps, and zeros for cameras.
 
     **Randomness.** Pictures are a function of ``seed``, epoch, the garment's data set (its seed and recipe) and its
     number, ``meta["index"]``; not of workers, order or batch. With the seed of the garments, those of epoch 0 are the
@@ -206,6 +206,7 @@ class Views(SceneTransform):
             "panel_corner_pixels": np.stack([p.corner_pixels for p in pictures], axis=1).astype(np.float32),
             "panel_corner_visible": np.stack([p.corner_visible for p in pictures], axis=1),
             **self._landmarks(pictures),
+            "keypoints": np.stack([picture.keypoints for picture in pictures]).astype(np.float32),
         }
         return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in entries.items()}
 

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from gcd_dataset.generator.body.keypoints import COCO_KEYPOINTS
     from gcd_dataset.generator.render.appearance import (
         Appearance,
         ClothLook,
@@ -67,6 +68,7 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.render.sketches import FLAT, HAND, SketchStyle, sketch, sketch_camera
 
 __all__ = [
+    "COCO_KEYPOINTS",
     "FLAT",
     "HAND",
     "KINECT",

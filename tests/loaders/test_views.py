@@ -235,6 +235,8 @@ def test_landmarks_have_one_order_for_all_bodies(worn_folder: Path) -> None:
     item = views(dataset(worn_folder)[1])
     assert item["landmark_pixels"].shape == (1, len(views.landmark_names), 2)
     assert item["landmark_visible"].any()
+    assert item["keypoints"].shape == (1, 17, 3)
+    assert item["keypoints"].any()
 
 
 def test_a_wearer_without_weights_is_drawn_again_or_given(worn_folder: Path, worn: list[Sample]) -> None:
@@ -257,6 +259,7 @@ def test_a_wearer_without_weights_is_drawn_again_or_given(worn_folder: Path, wor
     assert given["views"].shape == shown.shape
     assert given["landmark_pixels"].isnan().all()
     assert not given["landmark_visible"].any()
+    assert not given["keypoints"].any()
 
 
 def test_every_use_of_a_fresh_garment_has_its_own_pictures(worn_folder: Path) -> None:
