@@ -57,7 +57,10 @@ def add_verbs(verbs: Any) -> None:
     show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready for cutting")
     show.add_argument("--sheet", type=Path, metavar="FILE", help="pictures of several garments, as JPEG or PNG")
     show.add_argument(
-        "--maps", action="store_true", help="in the colours of stretch, gap to the skin and pressure; except --svg"
+        "--maps",
+        action="store_true",
+        help="in the colours of stretch, gap to the skin and pressure; except --svg; --png also as normals, depth, "
+        "seam lines, parts and key points",
     )
     conditions = "for --sheet: kind, grade or outcome, as in the viewer: kind=hooded grade=clean"
     show.add_argument("--where", nargs="+", default=[], metavar="NAME=VALUE", help=conditions)
@@ -120,7 +123,9 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
             position_of(options, 1)
         subject = pattern_of(options) if names_a_file(options.what) else sample_of(options)
     draw = maps_sheet if options.maps else sample_sheet
-    require_maps(not options.maps or (isinstance(subject, Sample) and subject.maps is not None), options.what)
+    is_png_alone = options.html is None and options.png is not None
+    has_maps = isinstance(subject, Sample) and (is_png_alone or subject.maps is not None)
+    require_maps(not options.maps or has_maps, options.what)
     if options.png is not None:
         picture = draw(subject) if isinstance(subject, Sample) else draw_pattern(subject)
         write_whole(options.png, png_bytes(picture))

@@ -15,7 +15,7 @@ Two looks:
     [picture] = render([scene], [view], size=512, maps=("depth", "panel_id"))
 
 Virtual depth cameras (``scan``) measure partial point clouds of the same scenes; ``sketch`` draws them
-in lines.
+in lines. ``control_picture`` and ``pose_picture`` colour maps and key points for picture generators.
 
 Records (``scene``, ``appearance``, ``environment``, ``cameras``, ``pictures``) need NumPy alone. Names are
 imported on first use: Warp is loaded by the functions that render.
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     )
     from gcd_dataset.generator.render.cameras import Camera, CameraRanges, draw_camera, fixed_camera, look_at
     from gcd_dataset.generator.render.casting import PendingPictures, render, start_pictures
+    from gcd_dataset.generator.render.control import control_picture, pose_picture
     from gcd_dataset.generator.render.environment import (
         Environment,
         EnvironmentKind,
@@ -102,6 +103,7 @@ __all__ = [
     "View",
     "Weave",
     "WeaveKind",
+    "control_picture",
     "draw_appearance",
     "draw_camera",
     "draw_environment",
@@ -113,6 +115,7 @@ __all__ = [
     "fixed_camera",
     "garment_scene",
     "look_at",
+    "pose_picture",
     "read_picture",
     "render",
     "render_garment",
