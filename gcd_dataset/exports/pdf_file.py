@@ -565,7 +565,7 @@ def _draw_key(canvas: Any, sheet: _PaperSheet, x: float, y: float) -> None:
         "left or above; the diamonds must meet.",
     )
     for row, step in enumerate(steps):
-        _text(canvas, step, x, y - 5.8 - 0.5 * row, TINY, centred=False)
+        _text(canvas, step, x, y - 7.0 - 0.5 * row, TINY, centred=False)
 
 
 def _list_pieces(canvas: Any, sheet: _PaperSheet, top: float) -> None:

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.drawing import captioned, contact_sheet
+from gcd_dataset.generator.drawing import captioned, contact_sheet, png_bytes, sample_sheet
 from gcd_dataset.generator.render.appearance import Print
 from gcd_dataset.outfits import apart
 from gcd_dataset.records import Outcome, Sample
@@ -116,6 +117,27 @@ def control_pictures(sample: Sample, *, size: int) -> list[UInt8[np.ndarray, "h 
         controls = [control_picture(picture.maps, kind) for kind in CONTROL_MAPS]
         found += [picture.rgb, *controls, pose_picture(picture.keypoints, size)]
     return found
+
+
+def textured_sheet(
+    sample: Sample, *, textures: Mapping[str, Path | str], size: int = 512
+) -> UInt8[np.ndarray, "h w 3"]:
+    """``sample_sheet`` with front and back in the cloth of image files, by panel: see ``render.with_textures``.
+
+    Raises ``ConfigError`` as ``maps_sheet`` does, for a panel that the garment lacks, and for an unreadable image.
+    """
+    from gcd_dataset.generator.render import View, fixed_camera, render, with_textures
+    from gcd_dataset.generator.render.environment import Lights
+    from gcd_dataset.generator.render.images import read_image
+    from gcd_dataset.generator.render.plain import PAGE, plain_view
+
+    scene = _scene(sample)
+    images = {name: read_image(file) for name, file in textures.items()}
+    look = with_textures(plain_view(scene).appearance, scene, images, garment=sample.key)
+    cameras = [fixed_camera(scene, side) for side in ("front", "back")]
+    views = [View(0, look, camera, Lights(-camera.rotation[2], exposure=0.5), PAGE) for camera in cameras]
+    front, back = (png_bytes(picture.rgb) for picture in render([scene], views, size=size))
+    return sample_sheet(replace(sample, front=front, back=back), size=size)
 
 
 def _scene(sample: Sample) -> "Scene":

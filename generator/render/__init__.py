@@ -51,7 +51,7 @@ if TYPE_CHECKING:
         draw_environment,
         draw_lights,
     )
-    from gcd_dataset.generator.render.images import read_picture
+    from gcd_dataset.generator.render.images import read_image, read_picture
     from gcd_dataset.generator.render.materials import AppearanceRanges, draw_appearance
     from gcd_dataset.generator.render.pictures import MAPS, Picture, Ranges, View, draw_hair, draw_view, draw_views
     from gcd_dataset.generator.render.plain import garment_scene, render_garment, render_view
@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     )
     from gcd_dataset.generator.render.scene import HairStyle, Scene, scene_of, scene_of_sample
     from gcd_dataset.generator.render.sketches import FLAT, HAND, SketchStyle, sketch, sketch_camera
+    from gcd_dataset.generator.render.textures import with_textures
 
 __all__ = [
     "COCO_KEYPOINTS",
@@ -116,6 +117,7 @@ __all__ = [
     "garment_scene",
     "look_at",
     "pose_picture",
+    "read_image",
     "read_picture",
     "render",
     "render_garment",
@@ -127,6 +129,7 @@ __all__ = [
     "sketch",
     "sketch_camera",
     "start_pictures",
+    "with_textures",
 ]
 
 __getattr__, __dir__ = lazy_names(__name__)

@@ -174,6 +174,12 @@ def test_maps_colour_the_cloth_alone_and_alike_where_nothing_stretches_or_presse
         assert main(["show", str(tmp_path / "set"), "--maps", form, str(tmp_path / "a.png")]) == 0
         with Image.open(tmp_path / "a.png") as written:
             assert written.height > rows * 512
+    Image.new("RGB", (2, 2), (0, 255, 0)).save(tmp_path / "green.png")
+    options = ["--texture", f"{made.box_mesh.panel_names[0]}={tmp_path / 'green.png'}", "--png"]
+    assert main(["show", str(tmp_path / "set"), *options, str(tmp_path / "a.png")]) == 0
+    with Image.open(tmp_path / "a.png") as written:
+        red, green, blue = np.asarray(written.convert("RGB")).astype(int)[:, : 2 * 518].transpose(2, 0, 1)
+        assert ((green > 2 * red) & (green > 2 * blue)).sum() > 500
 
 
 def test_a_garment_that_cannot_be_put_on_has_no_colours_of_maps(
