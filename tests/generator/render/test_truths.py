@@ -7,7 +7,6 @@ import pytest
 import trimesh
 
 from gcd_dataset.generator.body import build_body, named_pose, neutral_shape, pose_body
-from gcd_dataset.generator.body.keypoints import keypoints_of
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import (
     COCO_KEYPOINTS,
@@ -194,9 +193,9 @@ def test_keypoints_of_a_stride_seen_from_both_sides() -> None:
     standing = build_body(neutral_shape())
     striding = pose_body(standing, named_pose("stride"))
     pairs = [[COCO_KEYPOINTS.index(f"left_{name}") for name in pair] for pair in (("hip", "knee"), ("knee", "ankle"))]
-    lengths = [[np.linalg.norm(np.subtract(*keypoints_of(b)[pair])) for pair in pairs] for b in (standing, striding)]
+    still, scene = figure_scene(standing), figure_scene(striding)
+    lengths = [[np.linalg.norm(np.subtract(*each.keypoints[pair])) for pair in pairs] for each in (still, scene)]
     assert lengths[1] == pytest.approx(lengths[0], abs=1e-6)
-    scene = figure_scene(striding)
     front, back = (picture_of(scene, fixed_camera(scene, side), 256).keypoints for side in ("front", "back"))
     nose, left, right = (COCO_KEYPOINTS.index(name) for name in ("nose", "left_elbow", "right_elbow"))
     assert (front[nose, 2], back[nose, 2]) == (2, 1)
