@@ -157,6 +157,8 @@ class Body(Record):
     name: str = "body"
     posed: Callable[[Pose], Float[np.ndarray, "v 3"]] | None = field(default=None, compare=False, repr=False)
     """Vertices in a pose [cm], of a body of the user's model file; None: of the body model, or of a mesh file."""
+    joints: Float[np.ndarray, "21 3"] | None = field(default=None, compare=False, repr=False)
+    """Joints of ``BONES`` in a pose of the body model [cm]; None: those that the rig finds from the vertices."""
 
 
 # ------------------------------------------------------------------------------------------------------------- pattern

@@ -130,6 +130,7 @@ class _Batch(dict[str, Any]):
     camera_rt: Float[Tensor, "b n 3 4"] = _entry()
     landmark_pixels: Float[Tensor, "b n l 2"] = _entry()
     landmark_visible: Bool[Tensor, "b n l"] = _entry()
+    keypoints: Float[Tensor, "b n 17 3"] = _entry()
     repeated: Bool[Tensor, " b"] = _entry()
     """True for garments that fill up a batch, from a loader with ``pad="repeat"``."""
 

@@ -101,6 +101,8 @@ class GarmentFields(TypedDict, total=False):
     landmark_pixels: Float[Tensor, "n l 2"]
     """As ``panel_corner_pixels``, of ``Views.landmark_names``; NaN where the body has none."""
     landmark_visible: Bool[Tensor, "n l"]
+    keypoints: Float[Tensor, "n 17 3"]
+    """Column, row and visibility, 0 to 2, of ``generator.render.COCO_KEYPOINTS``, as ``Picture.keypoints``."""
     scan: Float[Tensor, "n 6"]
     """``Scan``: measured position [cm], true normal towards the camera; NaN where nothing was measured."""
     scan_panel_id: Int[Tensor, " n"]

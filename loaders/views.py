@@ -10,10 +10,11 @@ Where pictures are rendered:
 import contextlib
 import threading
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import numpy as np
@@ -64,10 +65,10 @@ class Views(SceneTransform):
     torch.Size([8, 4, 256, 256, 3])
 
     An item gets ``views``, ``camera_k``, ``camera_rt``, ``panel_corners``, ``panel_corner_pixels``,
-    ``panel_corner_visible``, ``landmark_pixels``, ``landmark_visible`` and, for each of ``maps``, ``depth_map`` and so
-    on: ``GarmentFields`` has their shapes, units and conventions, ``generator.render.Picture`` those of the maps.
-    ``front`` and ``back``, the plain pictures, stay as they are. A garment that cannot be put on has black pictures,
-    the background in its maps, and zeros for cameras.
+    ``panel_corner_visible``, ``landmark_pixels``, ``landmark_visible``, ``keypoints`` and, for each of ``maps``,
+    ``depth_map`` and so on: ``GarmentFields`` has their shapes, units and conventions, ``generator.render.Picture``
+    those of the maps. ``front`` and ``back``, the plain pictures, stay as they are. A garment that cannot be put on has
+    black pictures, the background in its maps, and zeros for cameras.
 
     **Randomness.** Pictures are a function of ``seed``, epoch, the garment's data set (its seed and recipe) and its
     number, ``meta["index"]``; not of workers, order or batch. With the seed of the garments, those of epoch 0 are the
@@ -81,13 +82,15 @@ class Views(SceneTransform):
     - ``appearance``, ``camera``, ``lights``, ``environment``: the ranges to draw from, such as
       ``AppearanceRanges(prints=…)``; ``None``: all.
     - ``maps``: names of ``Picture.maps``; ``stretch``, ``gap`` and ``pressure`` need the fields of these names.
+    - ``textures``: image files by panel, in place of its print: each is laid once over the box round its panel, upright
+      along the grain.
     - ``device``: ``auto`` is this rank's GPU, else the CPU; looked up when ``Views`` is made, so make it after
       ``torch.distributed`` is initialised.
     - ``bodies``: the wearers of garments without shape weights of the body model, such as published ones and
       ``FakeGarments``: ``PublishedBodies``, or a function from name to ``Body``.
 
     Raises ``ConfigError`` for invalid options; and where items are rendered for a GPU in a worker, a field that is
-    missing, and a wearer that is unknown.
+    missing, a panel of ``textures`` that a garment lacks, and a wearer that is unknown.
     """
 
     on_gpu = "give GarmentLoader(views=Views(…)), which renders in the training process, or Views(device='cpu')"
@@ -102,15 +105,17 @@ class Views(SceneTransform):
         lights: "LightRanges | None" = None,
         environment: "EnvironmentRanges | None" = None,
         maps: Sequence["MapName"] = ("depth", "panel_id"),
+        textures: Mapping[str, Path | str] | None = None,
         seed: int = 0,
         device: str = "auto",
         bodies: Bodies | BodyOf | None = None,
     ) -> None:
-        from gcd_dataset.generator.render import Ranges
+        from gcd_dataset.generator.render import Ranges, read_image
 
         super().__init__(size, seed, device, bodies)
         self.n = require_integer("n", n, least=1, most=MOST_VIEWS)
         self.maps = _known_maps(maps)
+        self.textures = {name: read_image(file) for name, file in (textures or {}).items()}
         given = {"appearance": appearance, "camera": camera, "lights": lights, "environment": environment}
         usual = Ranges()
         self.ranges = Ranges(**{name: require_ranges(name, each, getattr(usual, name)) for name, each in given.items()})
@@ -157,7 +162,7 @@ class Views(SceneTransform):
         return entries
 
     def _render_chunk(self, items: Sequence[Item], uses: Sequence[int]) -> list[Item]:
-        from gcd_dataset.generator.render import draw_views
+        from gcd_dataset.generator.render import draw_views, with_textures
 
         scenes: list[Scene] = []
         views: list[View] = []
@@ -166,7 +171,12 @@ class Views(SceneTransform):
             seed = garment.picture_seed(self.seed)
             scenes.append(self._scene(garment, seed, use))
             options: dict[str, Any] = {"epoch": use, "row": row, "fabric": garment.fabric, "ranges": self.ranges}
-            views += draw_views(seed, garment.index, scenes[row], self.n, **options)
+            drawn = draw_views(seed, garment.index, scenes[row], self.n, **options)
+            if self.textures:
+                look = drawn[0].appearance
+                look = with_textures(look, scenes[row], self.textures, garment=garment.meta["key"])
+                drawn = [replace(view, appearance=look) for view in drawn]
+            views += drawn
         pictures = self._pictures(scenes, views)
         return [self._entries(pictures[row * self.n : (row + 1) * self.n]) for row in range(len(items))]
 
@@ -206,6 +216,7 @@ class Views(SceneTransform):
             "panel_corner_pixels": np.stack([p.corner_pixels for p in pictures], axis=1).astype(np.float32),
             "panel_corner_visible": np.stack([p.corner_visible for p in pictures], axis=1),
             **self._landmarks(pictures),
+            "keypoints": np.stack([picture.keypoints for picture in pictures]).astype(np.float32),
         }
         return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in entries.items()}
 

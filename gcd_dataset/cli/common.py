@@ -118,6 +118,24 @@ def add_verb(
     return parser
 
 
+def add_texture(parser: argparse.ArgumentParser, *, form: str) -> None:
+    """Add ``--texture``, for a format, as a map from panel to file."""
+    parser.add_argument(
+        "--texture",
+        type=_texture,
+        action="append",
+        metavar="PANEL=FILE",
+        help=f"for {form}: an image over the box round a panel, upright along the grain; once for each panel",
+    )
+
+
+def _texture(text: str) -> tuple[str, Path]:
+    panel, _, file = text.partition("=")
+    if not panel or not file:
+        raise argparse.ArgumentTypeError(f"{text}: give PANEL=FILE, such as skirt_front=print.png")
+    return panel, Path(file)
+
+
 def add_body(parser: argparse.ArgumentParser, default: str | None = "neutral") -> None:
     """Add ``--body`` and the options that describe its mesh file; ``wearer_of`` reads the body."""
     parser.add_argument(

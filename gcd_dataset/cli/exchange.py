@@ -12,6 +12,7 @@ from gcd_dataset.cli.common import (
     Bar,
     add_quiet,
     add_server,
+    add_texture,
     add_verb,
     names_a_file,
     natural_number,
@@ -72,6 +73,7 @@ def _add_export(verbs: Any) -> None:
         "--tile", type=float, metavar="CM", help="for --glb, --obj and --usd: cloth that a texture covers (default: 10)"
     )
     export.add_argument("--no-body", action="store_true", help="for --glb, --obj and --usd: the garment alone")
+    add_texture(export, form="--glb")
     add_quiet(export)
     add_server(export)
 
@@ -93,7 +95,7 @@ OPTIONS_OF = {
     "hdf5": ("split",),
     "plain": ("split",),
     "layout": (),
-    "glb": ("index", "split", "tile", "no_body", "endpoint"),
+    "glb": ("index", "split", "tile", "no_body", "texture", "endpoint"),
     "obj": ("index", "split", "tile", "no_body", "endpoint"),
     "ply": ("index", "split", "endpoint"),
     "usd": ("index", "split", "tile", "no_body", "endpoint"),
@@ -143,6 +145,8 @@ def _export_garment(options: argparse.Namespace, form: str) -> int:
     }
     if options.no_body:
         chosen["body"] = False
+    if options.texture:
+        chosen["textures"] = dict(options.texture)
     if form == "dxf":
         chosen["created"] = date.today()
     write = partial(getattr(exports, form), **chosen)

@@ -6,7 +6,9 @@ import math
 import os
 import sys
 import threading
+from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +16,7 @@ from gcd_dataset.cli.common import (
     SOURCE_HELP,
     add_body,
     add_server,
+    add_texture,
     add_verb,
     design_in,
     names_a_file,
@@ -57,8 +60,12 @@ def add_verbs(verbs: Any) -> None:
     show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready for cutting")
     show.add_argument("--sheet", type=Path, metavar="FILE", help="pictures of several garments, as JPEG or PNG")
     show.add_argument(
-        "--maps", action="store_true", help="in the colours of stretch, gap to the skin and pressure; except --svg"
+        "--maps",
+        action="store_true",
+        help="in the colours of stretch, gap to the skin and pressure; except --svg; --png also as normals, depth, "
+        "seam lines, parts and key points",
     )
+    add_texture(show, form="--png")
     conditions = "for --sheet: kind, grade or outcome, as in the viewer: kind=hooded grade=clean"
     show.add_argument("--where", nargs="+", default=[], metavar="NAME=VALUE", help=conditions)
     show.add_argument(
@@ -83,6 +90,8 @@ def _show(options: argparse.Namespace) -> int:
         raise ConfigError("give either a DATASET or SPEC, or --design")
     if options.design is None and any((options.body, options.measurements, options.segmentation, options.height)):
         raise ConfigError("--body, --measurements, --segmentation, --height are for --design: leave them out")
+    if options.texture and (options.png is None or options.maps):
+        raise ConfigError("--texture is for --png without --maps: leave it out")
     if options.sheet is not None:
         if given or options.what is None or options.truth is not None:
             raise ConfigError("--sheet shows garments of a DATASET or SPEC: leave out --png, --svg, --html and --truth")
@@ -109,7 +118,7 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
     from gcd_dataset.records import Sample
     from gcd_dataset.viewer.content import content_of
     from gcd_dataset.viewer.garments import NO_BODY, published_content
-    from gcd_dataset.viewer.maps import maps_sheet, require_maps
+    from gcd_dataset.viewer.maps import maps_sheet, require_maps, textured_sheet
     from gcd_dataset.viewer.page import page_of
 
     published = _published(options)
@@ -119,8 +128,14 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
         if names_a_file(options.what):
             position_of(options, 1)
         subject = pattern_of(options) if names_a_file(options.what) else sample_of(options)
-    draw = maps_sheet if options.maps else sample_sheet
-    require_maps(not options.maps or (isinstance(subject, Sample) and subject.maps is not None), options.what)
+    draw: Callable[[Sample], Any] = maps_sheet if options.maps else sample_sheet
+    if options.texture:
+        if not isinstance(subject, Sample):
+            raise ConfigError(f"{options.what} is not draped, and --texture is for draped garments: leave it out")
+        draw = partial(textured_sheet, textures=dict(options.texture))
+    is_png_alone = options.html is None and options.png is not None
+    has_maps = isinstance(subject, Sample) and (is_png_alone or subject.maps is not None)
+    require_maps(not options.maps or has_maps, options.what)
     if options.png is not None:
         picture = draw(subject) if isinstance(subject, Sample) else draw_pattern(subject)
         write_whole(options.png, png_bytes(picture))

@@ -2,13 +2,14 @@
 
 import re
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
 from jaxtyping import Float, Int
+from PIL import Image
 
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import ConfigError, shown
@@ -25,6 +26,8 @@ from gcd_dataset.exports.inputs import (
 )
 from gcd_dataset.files import open_whole, plain_names, write_whole
 from gcd_dataset.generator.lay_plan import PALETTE
+from gcd_dataset.generator.render.images import read_image
+from gcd_dataset.generator.render.textures import require_panels
 from gcd_dataset.outfits import apart
 from gcd_dataset.records import Body, BoxMesh, Pattern, Sample
 
@@ -92,19 +95,29 @@ PANEL, BODY = "gcd_panel", "gcd_body"
 """Keys in the ``extras`` of the meshes of panels and body, with their names."""
 
 
-def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = True) -> None:
+def glb(
+    garment: Draped,
+    path: Path | str,
+    *,
+    tile: float = TILE,
+    body: bool = True,
+    textures: Mapping[str, Path | str] | None = None,
+) -> None:
     """Write the draped garment, on its body, as binary glTF [m].
 
     A node and a material for each panel, named after it; of an outfit below a node for each garment, ``garment_0``, ….
     A fitting in motion moves: each of its frames is a morph target. ``tile``: centimetres of cloth that a texture
     covers, in both directions of every panel. ``body``: whether to include the body, if the sample holds its shape.
-    Raises ``ShardError`` for a sample without a drape, ``ConfigError`` for a name that does not end in ``.glb``,
-    ``OutputError``.
+    ``textures``: image files by panel, each laid once over the box round its panel, v up along the grain, and read from
+    the outside. Raises ``ShardError`` for a sample without a drape, ``ConfigError`` for a name that does not end in
+    ``.glb``, a panel that the garment lacks and an image that cannot be read, ``OutputError``.
     """
     import trimesh
 
     path = require_suffix(path, ".glb")
     mesh, drape = draped_mesh(garment)
+    require_panels(textures or (), mesh.panel_names, key_of(garment))
+    images = {name: read_image(file) for name, file in (textures or {}).items()}
     uv, normals = texture_coordinates(mesh, tile), smooth_normals(drape.vertices, mesh.faces)
     scene, garment_of = trimesh.Scene(), _garment_of(garment)
     motion = motion_of(garment)
@@ -115,12 +128,15 @@ def glb(garment: Draped, path: Path | str, *, tile: float = TILE, body: bool = T
         if not len(rows):
             continue
         vertex = mesh.uv_vertex[rows]
-        material = _material(name, PALETTE[number % len(PALETTE)], two=True)
+        material, place = _material(name, PALETTE[number % len(PALETTE)], two=True), uv[rows]
+        if name in images:
+            material = _material(name, (1.0, 1.0, 1.0), two=True, image=images[name])
+            place = (place - place.min(axis=0)) / np.ptp(place, axis=0)
         panel = trimesh.Trimesh(
             METRE * drape.vertices[vertex],
             corners.reshape(-1, 3),
             vertex_normals=normals[vertex],
-            visual=trimesh.visual.TextureVisuals(uv=uv[rows], material=material),
+            visual=trimesh.visual.TextureVisuals(uv=place, material=material),
             metadata={PANEL: name},
             process=False,
         )
@@ -206,12 +222,13 @@ def _colours(count: int) -> Float[np.ndarray, "n 3"]:
     return np.array([PALETTE[number % len(PALETTE)] for number in range(count)])
 
 
-def _material(name: str, colour: tuple[float, float, float], *, two: bool) -> Any:
-    """A material of one colour; ``two``: seen from both sides."""
+def _material(name: str, colour: tuple[float, float, float], *, two: bool, image: Image.Image | None = None) -> Any:
+    """A material of one colour, or with an image; ``two``: seen from both sides."""
     from trimesh.visual.material import PBRMaterial
 
     rgba = np.rint(255 * np.array([*colour, 1.0])).astype(np.uint8)
-    return PBRMaterial(name=name, baseColorFactor=rgba, metallicFactor=0.0, roughnessFactor=ROUGHNESS, doubleSided=two)
+    options = {"metallicFactor": 0.0, "roughnessFactor": ROUGHNESS, "doubleSided": two, "baseColorTexture": image}
+    return PBRMaterial(name=name, baseColorFactor=rgba, **options)
 
 
 def _skin(body: Body) -> Any:

@@ -156,6 +156,7 @@ MARK = 0.5  # cm, half the diagonal of a registration mark
 TEST_SQUARE = 10.0  # cm
 LEGEND = (18.0, 25.0)  # cm, width and height
 MAP = (17.0, 8.5)  # cm, of the map of pages
+CLOTH_WIDTHS = (110, 140, 150)  # cm, as cloth is sold
 FONT, BOLD = "Helvetica", "Helvetica-Bold"
 ASIAN_FONTS = {"gbk": "STSong-Light", "euc_kr": "HYSMyeongJo-Medium"}
 """Encoding to a font of ISO 32000-1, 9.7.5.2, with its letters; GBK includes Cyrillic."""
@@ -490,6 +491,7 @@ def _draw_legend(canvas: Any, sheet: _PaperSheet, left: float, top: float) -> No
     pages = f"{len(tiling.pages)} page{'s' if len(tiling.pages) > 1 else ''} {tiling.paper.name.upper()}"
     facts = f"{len(sheet.names)} pieces on {pages}; seam allowance {sheet.allowance:g} cm, included"
     _text(canvas, facts, 0, -1.7, SMALL, centred=False)
+    _text(canvas, _cloth_lengths(sheet), 0, -2.2, TINY, centred=False, room=LEGEND[0])
     column = LEGEND[0] / len(sheet.sizes)
     for number, size in enumerate(sheet.sizes):
         _ink(canvas, seam_colour(number))
@@ -504,6 +506,17 @@ def _draw_legend(canvas: Any, sheet: _PaperSheet, left: float, top: float) -> No
     _list_pieces(canvas, sheet, -13.3)
     _draw_map(canvas, sheet, -LEGEND[1] + MAP[1])
     canvas.restoreState()
+
+
+def _cloth_lengths(sheet: _PaperSheet) -> str:
+    """Cloth to buy in each of ``CLOTH_WIDTHS``: the pieces side by side along the grain; of all sizes, the largest."""
+    sizes = np.stack(list(sheet.cloth.values()))
+    lengths = ((width, pack(sizes, width=width, gap=0.0)[1]) for width in CLOTH_WIDTHS)
+    texts = (
+        f"{int(np.ceil(length - 1e-6))} cm at {width} cm" if sizes[:, 0].max() <= width else f"too narrow at {width} cm"
+        for width, length in lengths
+    )
+    return f"cloth length, along the grain in one layer: {', '.join(texts)}"
 
 
 def _draw_key(canvas: Any, sheet: _PaperSheet, x: float, y: float) -> None:
@@ -552,7 +565,7 @@ def _draw_key(canvas: Any, sheet: _PaperSheet, x: float, y: float) -> None:
         "left or above; the diamonds must meet.",
     )
     for row, step in enumerate(steps):
-        _text(canvas, step, x, y - 5.8 - 0.5 * row, TINY, centred=False)
+        _text(canvas, step, x, y - 7.0 - 0.5 * row, TINY, centred=False)
 
 
 def _list_pieces(canvas: Any, sheet: _PaperSheet, top: float) -> None:

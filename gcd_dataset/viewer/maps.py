@@ -1,17 +1,22 @@
-"""Garments in the colours of stretch, gap and pressure: colour scales, pictures and their legend."""
+"""Garments in the colours of stretch, gap and pressure, with scales and a legend; control pictures beside them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.drawing import captioned, contact_sheet
+from gcd_dataset.generator.drawing import captioned, contact_sheet, png_bytes, sample_sheet
 from gcd_dataset.generator.render.appearance import Print
 from gcd_dataset.outfits import apart
-from gcd_dataset.records import Sample
+from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.viewer.content import body_of
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.render import Scene
 
 LEVELS = 1025  # colours of a scale
 SHARPNESS = 2  # rays along each side of a pixel
@@ -66,16 +71,12 @@ def map_pictures(sample: Sample, *, size: int, sides: Sequence[str] = ("front",)
     Raises ``ConfigError`` for a sample without maps, on a body of another model, or whose drape diverged or was not
     made.
     """
-    from gcd_dataset.generator.render import render, scene_of_sample
+    from gcd_dataset.generator.render import render
     from gcd_dataset.generator.render.pictures import VERTEX_MAPS
     from gcd_dataset.generator.render.plain import plain_view
 
     require_maps(sample.maps is not None, sample.key)
-    if sample.maps is not None and sample.drape is not None and not sample.maps.is_known:
-        raise ConfigError(f"{sample.key} has no maps: {sample.drape.outcome.value}")
-    if (body := body_of(sample)) is None:
-        raise ConfigError(f"{sample.key} is on a body of another model: show it with --html")
-    scene = scene_of_sample(apart(sample)[0], body)
+    scene = _scene(apart(sample)[0])
     views = [plain_view(scene, side) for side in sides]
     white = tuple(replace(cloth, print=WHITE) for cloth in views[0].appearance.cloths)
     views = [replace(view, appearance=replace(view.appearance, cloths=white)) for view in views]
@@ -90,9 +91,65 @@ def map_pictures(sample: Sample, *, size: int, sides: Sequence[str] = ("front",)
 
 
 def maps_sheet(sample: Sample, *, size: int = 512) -> UInt8[np.ndarray, "h w 3"]:
-    """Front and back of a sample in the colours of each of ``SCALES``, above the legend; as ``map_pictures``."""
-    pictures = map_pictures(sample, size=size, sides=("front", "back"))
+    """Control pictures of front and back; of a sample with maps, both in each of ``SCALES`` too, above the legend.
+
+    Raises ``ConfigError`` for a sample without a drape, on a body of another model, or whose drape diverged or was not
+    made.
+    """
+    pictures = control_pictures(sample, size=size)
+    if sample.maps is None:
+        return contact_sheet(pictures, columns=len(SCALES))
+    pictures += map_pictures(sample, size=size, sides=("front", "back"))
     return with_legend(contact_sheet(pictures, columns=len(SCALES)))
+
+
+def control_pictures(sample: Sample, *, size: int) -> list[UInt8[np.ndarray, "h w 3"]]:
+    """For front and back each, the plain picture, its control pictures and its key points; errors as ``maps_sheet``."""
+    from gcd_dataset.generator.render import control_picture, pose_picture, render
+    from gcd_dataset.generator.render.control import CONTROL_MAPS
+    from gcd_dataset.generator.render.plain import plain_view
+
+    scene = _scene(sample)
+    views = [plain_view(scene, side) for side in ("front", "back")]
+    maps = [name for names in CONTROL_MAPS.values() for name in names]
+    found = []
+    for picture in render([scene], views, size=size, maps=maps):
+        controls = [control_picture(picture.maps, kind) for kind in CONTROL_MAPS]
+        found += [picture.rgb, *controls, pose_picture(picture.keypoints, size)]
+    return found
+
+
+def textured_sheet(
+    sample: Sample, *, textures: Mapping[str, Path | str], size: int = 512
+) -> UInt8[np.ndarray, "h w 3"]:
+    """``sample_sheet`` with front and back in the cloth of image files, by panel: see ``render.with_textures``.
+
+    Raises ``ConfigError`` as ``maps_sheet`` does, for a panel that the garment lacks, and for an unreadable image.
+    """
+    from gcd_dataset.generator.render import View, fixed_camera, render, with_textures
+    from gcd_dataset.generator.render.environment import Lights
+    from gcd_dataset.generator.render.images import read_image
+    from gcd_dataset.generator.render.plain import PAGE, plain_view
+
+    scene = _scene(sample)
+    images = {name: read_image(file) for name, file in textures.items()}
+    look = with_textures(plain_view(scene).appearance, scene, images, garment=sample.key)
+    cameras = [fixed_camera(scene, side) for side in ("front", "back")]
+    views = [View(0, look, camera, Lights(-camera.rotation[2], exposure=0.5), PAGE) for camera in cameras]
+    front, back = (png_bytes(picture.rgb) for picture in render([scene], views, size=size))
+    return sample_sheet(replace(sample, front=front, back=back), size=size)
+
+
+def _scene(sample: Sample) -> "Scene":
+    from gcd_dataset.generator.render import scene_of_sample
+
+    drape, maps = sample.drape, sample.maps
+    is_unknown = maps is not None and not maps.is_known
+    if drape is not None and (is_unknown or drape.outcome is Outcome.CANNOT_BE_PUT_ON):
+        raise ConfigError(f"{sample.key} has no maps: {drape.outcome.value}")
+    if (body := body_of(sample)) is None:
+        raise ConfigError(f"{sample.key} is on a body of another model: show it with --html")
+    return scene_of_sample(sample, body)
 
 
 def with_legend(picture: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h+c w 3"]:

@@ -174,7 +174,9 @@ def pose_body(body: Body, pose: Pose) -> Body:
     skin = body_skin()
     normals = _turned(skin_normals(body.vertices, skin.faces), rotations[:, skin.faces[:, 0]])
     reference = replace(skin, normals=normals / np.linalg.norm(normals, axis=0))
-    return replace(body, vertices=stand(reference.smoothed(vertices, ROUNDS, resolve_creases=True).vertices))
+    posed = reference.smoothed(vertices, ROUNDS, resolve_creases=True).vertices
+    standing = stand(posed)
+    return replace(body, vertices=standing, joints=moved + (standing[0] - posed[0]))
 
 
 def whole_turns(pose: Pose) -> Float[np.ndarray, "b 3 3"]:

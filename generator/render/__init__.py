@@ -15,7 +15,7 @@ Two looks:
     [picture] = render([scene], [view], size=512, maps=("depth", "panel_id"))
 
 Virtual depth cameras (``scan``) measure partial point clouds of the same scenes; ``sketch`` draws them
-in lines.
+in lines. ``control_picture`` and ``pose_picture`` colour maps and key points for picture generators.
 
 Records (``scene``, ``appearance``, ``environment``, ``cameras``, ``pictures``) need NumPy alone. Names are
 imported on first use: Warp is loaded by the functions that render.
@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 from gcd_dataset.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from gcd_dataset.generator.body.keypoints import COCO_KEYPOINTS
     from gcd_dataset.generator.render.appearance import (
         Appearance,
         ClothLook,
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     )
     from gcd_dataset.generator.render.cameras import Camera, CameraRanges, draw_camera, fixed_camera, look_at
     from gcd_dataset.generator.render.casting import PendingPictures, render, start_pictures
+    from gcd_dataset.generator.render.control import control_picture, pose_picture
     from gcd_dataset.generator.render.environment import (
         Environment,
         EnvironmentKind,
@@ -49,7 +51,7 @@ if TYPE_CHECKING:
         draw_environment,
         draw_lights,
     )
-    from gcd_dataset.generator.render.images import read_picture
+    from gcd_dataset.generator.render.images import read_image, read_picture
     from gcd_dataset.generator.render.materials import AppearanceRanges, draw_appearance
     from gcd_dataset.generator.render.pictures import MAPS, Picture, Ranges, View, draw_hair, draw_view, draw_views
     from gcd_dataset.generator.render.plain import garment_scene, render_garment, render_view
@@ -65,8 +67,10 @@ if TYPE_CHECKING:
     )
     from gcd_dataset.generator.render.scene import HairStyle, Scene, scene_of, scene_of_sample
     from gcd_dataset.generator.render.sketches import FLAT, HAND, SketchStyle, sketch, sketch_camera
+    from gcd_dataset.generator.render.textures import with_textures
 
 __all__ = [
+    "COCO_KEYPOINTS",
     "FLAT",
     "HAND",
     "KINECT",
@@ -100,6 +104,7 @@ __all__ = [
     "View",
     "Weave",
     "WeaveKind",
+    "control_picture",
     "draw_appearance",
     "draw_camera",
     "draw_environment",
@@ -111,6 +116,8 @@ __all__ = [
     "fixed_camera",
     "garment_scene",
     "look_at",
+    "pose_picture",
+    "read_image",
     "read_picture",
     "render",
     "render_garment",
@@ -122,6 +129,7 @@ __all__ = [
     "sketch",
     "sketch_camera",
     "start_pictures",
+    "with_textures",
 ]
 
 __getattr__, __dir__ = lazy_names(__name__)

@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import numpy as np
 import warp as wp
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.device import keep_some_memory, launch_lock
@@ -18,7 +18,7 @@ from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.kernels import cast, prepare, truths
 from gcd_dataset.generator.render.kernels.records import ClothRow, Shot
 from gcd_dataset.generator.render.packing import Materials, pack_views
-from gcd_dataset.generator.render.pictures import BACKGROUND, VERTEX_MAPS, MapName, Picture, View
+from gcd_dataset.generator.render.pictures import BACKGROUND, REACH, VERTEX_MAPS, MapName, Picture, View
 from gcd_dataset.generator.render.scene import Scene
 from gcd_dataset.generator.render.uploading import Block, StagingBuffers, Uploaded, add_scenes, upload, wrapped
 
@@ -109,7 +109,7 @@ class PendingPictures:
         self._views, self._size, self._maps = views, size, tuple(maps)
         self._staging = StagingBuffers(device)
         self._scenes = [scenes[view.scene] for view in views]
-        self._positions = [] if rgb_only else [_marked_points(scene) for scene in self._scenes]
+        self._positions = [] if rgb_only else list(map(_marked_points, self._scenes, self._views))
         self._results: dict[str, np.ndarray] = {}
         self._rendered: wp.Event | None = None
         self._kept: object = None
@@ -166,7 +166,7 @@ class PendingPictures:
             pixels = view.camera.project(positions, size)
             visible = (np.abs(pixels - 0.5 * (size - 1)) <= 0.5 * size).all(axis=1)
             visible &= results["visible"][begin:end] == 1
-            begin = end
+            begin, marks = end, corners + len(scene.landmarks)
             yield Picture(
                 rgb=results["rgb"][row],
                 intrinsics=view.camera.intrinsics(size),
@@ -176,8 +176,9 @@ class PendingPictures:
                 corner_pixels=pixels[:corners],
                 corner_visible=visible[:corners],
                 landmark_names=tuple(scene.landmarks),
-                landmark_pixels=pixels[corners:],
-                landmark_visible=visible[corners:],
+                landmark_pixels=pixels[corners:marks],
+                landmark_visible=visible[corners:marks],
+                keypoints=_keypoints(pixels[marks:], visible[marks:], size),
             )
 
     def _add_views(self, block: Block, materials: Materials) -> None:
@@ -210,10 +211,24 @@ class PendingPictures:
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 
-def _marked_points(scene: Scene) -> Float[np.ndarray, "n 3"]:
-    """Panel corners, then landmarks [cm]."""
+def _marked_points(scene: Scene, view: View) -> Float[np.ndarray, "n 3"]:
+    """Panel corners, landmarks, then key points, each ``REACH`` nearer to the camera [cm]."""
     corners = scene.vertices[scene.uv_vertex[scene.corner_rows]]
-    return np.concatenate([corners, np.array(list(scene.landmarks.values())).reshape(-1, 3)])
+    away = scene.keypoints - view.camera.eye
+    nearer = REACH[: len(away), None] * away / np.linalg.norm(away, axis=1, keepdims=True)
+    marks = np.array(list(scene.landmarks.values())).reshape(-1, 3)
+    return np.concatenate([corners, marks, scene.keypoints - nearer])
+
+
+def _keypoints(
+    pixels: Float[np.ndarray, "n 2"], visible: Bool[np.ndarray, " n"], size: int
+) -> Float[np.ndarray, "17 3"]:
+    """``Picture.keypoints`` from the key points of a scene, which has all or none."""
+    found = np.zeros((len(REACH), 3))
+    if len(pixels):
+        inside = (np.abs(pixels - 0.5 * (size - 1)) <= 0.5 * size).all(axis=1)
+        found[inside, :2], found[:, 2] = pixels[inside], np.where(visible, 2, inside)
+    return found
 
 
 def _check(scenes: Sequence[Scene], views: Sequence[View], size: int, maps: Sequence[MapName]) -> None:

@@ -13,13 +13,18 @@ Linear = Float32[np.ndarray, "h w 3"]
 
 
 def read_picture(path: Path | str) -> Linear:
-    """A picture as linear colours: JPEG, PNG and the like in sRGB.
+    """A picture as linear colours, read as ``read_image`` does."""
+    return linear_light(np.asarray(read_image(path), np.float32) / 255.0).astype(np.float32)
+
+
+def read_image(path: Path | str) -> Image.Image:
+    """An RGB image: JPEG, PNG and the like in sRGB.
 
     Raises ``ConfigError`` with the file for one that cannot be read.
     """
     try:
         with open_regular(path) as file, Image.open(file) as image:
-            return linear_light(np.asarray(image.convert("RGB"), np.float32) / 255.0).astype(np.float32)
+            return image.convert("RGB")
     except (OSError, UnidentifiedImageError, ValueError) as error:
         raise ConfigError(f"{path}: not a picture that can be read ({error}): give JPEG or PNG") from error
 

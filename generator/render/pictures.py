@@ -96,8 +96,14 @@ class Picture(Record):
     """Column and row of the body's landmarks; NaN behind the camera."""
     landmark_visible: Bool[np.ndarray, " l"] = field(default_factory=lambda: np.zeros(0, bool))
     """Whether a landmark lies in the picture and nothing hides it, cloth included."""
+    keypoints: Float[np.ndarray, "17 3"] = field(default_factory=lambda: np.zeros((17, 3)))
+    """Column, row and visibility of ``COCO_KEYPOINTS``, as COCO has them: 0 outside the picture, at column and row 0;
+    1 hidden; 2 visible, also under ``REACH`` of flesh and cloth. Zeros for a body with another mesh than the model's.
+    """
 
 
+REACH = np.array([*5 * [1.0], 11.0, 11.0, 8.0, 8.0, 6.0, 6.0, 15.0, 15.0, 11.0, 11.0, 8.0, 8.0])
+"""How far in front of each of ``COCO_KEYPOINTS`` a surface may lie and not hide it [cm]: joints lie in the flesh."""
 VIEWS_PER_EPOCH = 1 << 16  # stream numbers of one epoch
 HAIR_SHARES = (0.06, 0.24, 0.35, 0.35)  # of ``HairStyle``: none, cropped, short, full
 

@@ -78,6 +78,14 @@ class Scene(Record):
         return np.concatenate([self.garment_points, self.body.vertices[::5].T], axis=1)
 
     @cached_property
+    def keypoints(self) -> Float[np.ndarray, "n 3"]:
+        """Key points of the body in the order of ``COCO_KEYPOINTS`` [cm]; no rows for a body with another mesh."""
+        from gcd_dataset.generator.body.keypoints import keypoints_of
+
+        found = keypoints_of(self.body)
+        return np.zeros((0, 3)) if found is None else found
+
+    @cached_property
     def _box(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
         # C-ordered rows: NumPy reduces them 20 times as fast as columns.
         points = [mesh.T.astype(float, order="C") for mesh in (self.vertices, self.body.vertices) if len(mesh)]

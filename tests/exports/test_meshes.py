@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from pxr import Usd, UsdGeom, UsdShade
 
 from gcd_dataset import exports
@@ -129,6 +130,25 @@ def test_textures_have_one_scale(worn: Sample, tmp_path: Path) -> None:
         assert areas(panel.visual.uv[panel.faces]) > 0
         exact = areas(mesh.uv[mesh.corners[mesh.panel_id == number]])
         assert areas(panel.visual.uv[panel.faces]) == pytest.approx(abs(exact) / 25.0, rel=1e-4)
+
+
+def test_an_image_lies_once_over_the_box_round_its_panel(worn: Sample, tmp_path: Path) -> None:
+    mesh, _ = parts(worn)
+    name, other = mesh.panel_names[:2]
+    Image.new("RGB", (8, 4), (200, 30, 30)).save(tmp_path / "red.png")
+    exports.glb(worn, tmp_path / "a.glb", textures={name: tmp_path / "red.png"})
+    panels = trimesh.load(tmp_path / "a.glb").geometry
+    uv, material = panels[name].visual.uv, panels[name].visual.material
+    assert [uv.min(axis=0).tolist(), uv.max(axis=0).tolist()] == [[0.0, 0.0], [1.0, 1.0]]
+    assert material.baseColorTexture.size == (8, 4)
+    assert panels[other].visual.material.baseColorTexture is None
+    for files, message in (
+        ({"nothing": tmp_path / "red.png"}, "has no panel nothing for a texture"),
+        ({name: tmp_path / "absent.png"}, "absent.png: not a picture that can be read"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            exports.glb(worn, tmp_path / "b.glb", textures=files)
+    assert not (tmp_path / "b.glb").exists()
 
 
 def areas(corners: np.ndarray) -> float:

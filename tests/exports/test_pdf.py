@@ -167,6 +167,15 @@ def test_a_large_sheet_holds_the_legend(tmp_path: Path) -> None:
     assert "10 cm" in "".join(page.extract_text() for page in reader.pages)
 
 
+def test_three_squares_lie_in_two_rows_on_narrow_cloth_and_in_one_on_wide(tmp_path: Path) -> None:
+    """Squares of 42 cm with their allowance: 110 cm has room for two of them, 140 cm for three."""
+    text = read(named("a", "b", "c"), tmp_path).pages[0].extract_text()
+    assert "in one layer: 84 cm at 110 cm, 42 cm at 140 cm, 42 cm at 150 cm" in text
+    wide = Pattern("wide", (panel_of("wide", [(0, 0), (120, 0), (120, 20), (0, 20)]),), ())
+    text = read(wide, tmp_path).pages[0].extract_text()
+    assert "too narrow at 110 cm, 22 cm at 140 cm" in text
+
+
 def test_pages_name_pieces_neighbours_and_seams(tmp_path: Path) -> None:
     reader = read(squares(), tmp_path)
     texts = [page.extract_text() for page in reader.pages]

@@ -46,6 +46,10 @@ SMALLER = {
             'GeneratedGarments(2, cache_dir="kept", fields=fields, resolution=9.0)'
         ),
     },
+    "guides/control": {
+        "--count 1000 --resolution 2": "--count 1 --resolution 9 --picture 0",
+        "VIEWS, SIZE = 4, 512": "VIEWS, SIZE = 2, 64",
+    },
     "guides/own-body": {"--resolution 3": "--resolution 9", "spacing=3.0": "spacing=9.0"},
     "guides/own-fabric": {"--resolution 3": "--resolution 9", "resolution=3.0": "resolution=9.0"},
     "guides/own-garment": {"--resolution 2.5": "--resolution 9"},

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, TransformError
@@ -235,6 +236,8 @@ def test_landmarks_have_one_order_for_all_bodies(worn_folder: Path) -> None:
     item = views(dataset(worn_folder)[1])
     assert item["landmark_pixels"].shape == (1, len(views.landmark_names), 2)
     assert item["landmark_visible"].any()
+    assert item["keypoints"].shape == (1, 17, 3)
+    assert item["keypoints"].any()
 
 
 def test_a_wearer_without_weights_is_drawn_again_or_given(worn_folder: Path, worn: list[Sample]) -> None:
@@ -257,6 +260,7 @@ def test_a_wearer_without_weights_is_drawn_again_or_given(worn_folder: Path, wor
     assert given["views"].shape == shown.shape
     assert given["landmark_pixels"].isnan().all()
     assert not given["landmark_visible"].any()
+    assert not given["keypoints"].any()
 
 
 def test_every_use_of_a_fresh_garment_has_its_own_pictures(worn_folder: Path) -> None:
@@ -313,6 +317,20 @@ def test_appearances_keep_to_their_ranges(worn_folder: Path) -> None:
     pairs = [(plain(item), striped(item)) for item in dataset(worn_folder)]
     assert any(not torch.equal(one["views"], other["views"]) for one, other in pairs)  # some cloth takes no print
     assert all(torch.equal(one["camera_rt"], other["camera_rt"]) for one, other in pairs)
+
+
+def test_an_image_on_a_panel_changes_that_panel_alone(worn_folder: Path, tmp_path: Path) -> None:
+    item = dataset(worn_folder)[0]
+    plain = small(n=4)(item)
+    panel = plain["panel_id_map"].max()
+    Image.new("RGB", (4, 4), (0, 255, 0)).save(tmp_path / "green.png")
+    textures = {item["meta"]["panel_names"][int(panel)]: tmp_path / "green.png"}
+    shown = small(n=4, textures=textures)(item)
+    is_changed = (shown["views"] != plain["views"]).any(dim=-1)
+    assert is_changed[plain["panel_id_map"] == panel].float().mean() > 0.9
+    assert is_changed[plain["panel_id_map"] != panel].float().mean() < 0.1  # pixels on its border
+    with pytest.raises(TransformError, match="gcd_000000000 has no panel nothing for a texture: it has"):
+        dataset(worn_folder, transform=small(textures={"nothing": tmp_path / "green.png"}))[0]
 
 
 def test_what_an_item_lacks_is_named_at_once(worn_folder: Path) -> None:

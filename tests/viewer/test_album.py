@@ -170,10 +170,16 @@ def test_maps_colour_the_cloth_alone_and_alike_where_nothing_stretches_or_presse
     assert (gap[cloth][:, 1] > 1.2 * gap[cloth][:, 0]).all()
     assert (stretch == pressure).all()
     assert np.ptp(pressure[cloth], axis=1).max() < 40
-    for form in ("--png", "--sheet"):
+    for form, rows in (("--png", 6), ("--sheet", 1)):  # of the sheet: control pictures of both sides, then the maps
         assert main(["show", str(tmp_path / "set"), "--maps", form, str(tmp_path / "a.png")]) == 0
         with Image.open(tmp_path / "a.png") as written:
-            assert written.height > 512
+            assert written.height > rows * 512
+    Image.new("RGB", (2, 2), (0, 255, 0)).save(tmp_path / "green.png")
+    options = ["--texture", f"{made.box_mesh.panel_names[0]}={tmp_path / 'green.png'}", "--png"]
+    assert main(["show", str(tmp_path / "set"), *options, str(tmp_path / "a.png")]) == 0
+    with Image.open(tmp_path / "a.png") as written:
+        red, green, blue = np.asarray(written.convert("RGB")).astype(int)[:, : 2 * 518].transpose(2, 0, 1)
+        assert ((green > 2 * red) & (green > 2 * blue)).sum() > 500
 
 
 def test_a_garment_that_cannot_be_put_on_has_no_colours_of_maps(
@@ -193,7 +199,7 @@ def test_a_garment_that_cannot_be_put_on_has_no_colours_of_maps(
     assert capsys.readouterr().err == f"gcd show: {made.key} has no maps: {Outcome.CANNOT_BE_PUT_ON.value}\n"
 
 
-@pytest.mark.parametrize("form", ["--png", "--html", "--sheet", ""])
+@pytest.mark.parametrize("form", ["--html", "--sheet", ""])
 def test_maps_of_a_data_set_without_maps_are_refused(
     form: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from gcd_dataset.generator.body import build_body, neutral_shape
+from gcd_dataset.generator.body import build_body, named_pose, neutral_shape, pose_body
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import (
+    COCO_KEYPOINTS,
     MAPS,
     Camera,
     HairStyle,
@@ -22,6 +23,7 @@ from gcd_dataset.generator.render import (
 )
 from gcd_dataset.generator.render.geometry import HEM
 from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR, VERTEX_MAPS
+from gcd_dataset.generator.render.scene import figure_scene
 from gcd_dataset.records import BodyPart
 from tests.generator.render.scenes import ahead, ball_scene, patch_scene, view_of
 from tests.helpers import body_from, far_ball, napkins, patch
@@ -184,3 +186,20 @@ def test_lit_is_the_side_of_the_light_without_what_stands_before_it() -> None:
     assert free.maps["lit"][above] == free.maps["lit"][below] == 255
     assert free.maps["lit"][32, 20] == 0
     assert (behind.maps["lit"][above], behind.maps["lit"][below]) == (0, 255)
+
+
+def test_keypoints_of_a_stride_seen_from_both_sides() -> None:
+    """Bones keep their lengths in a pose; from behind the face is hidden, and left and right change sides."""
+    standing = build_body(neutral_shape())
+    striding = pose_body(standing, named_pose("stride"))
+    pairs = [[COCO_KEYPOINTS.index(f"left_{name}") for name in pair] for pair in (("hip", "knee"), ("knee", "ankle"))]
+    still, scene = figure_scene(standing), figure_scene(striding)
+    lengths = [[np.linalg.norm(np.subtract(*each.keypoints[pair])) for pair in pairs] for each in (still, scene)]
+    assert lengths[1] == pytest.approx(lengths[0], abs=1e-6)
+    front, back = (picture_of(scene, fixed_camera(scene, side), 256).keypoints for side in ("front", "back"))
+    nose, left, right = (COCO_KEYPOINTS.index(name) for name in ("nose", "left_elbow", "right_elbow"))
+    assert (front[nose, 2], back[nose, 2]) == (2, 1)
+    assert front[left, 0] > front[right, 0] and back[left, 0] < back[right, 0]
+    assert front[left, 2] == back[left, 2] == 2  # though the joint lies in the flesh
+    feet = look_at(np.array([0.0, 5.0, 100.0]), np.array([0.0, 5.0, 0.0]), focal=2.0)
+    assert picture_of(scene, feet, 64).keypoints[nose].tolist() == [0, 0, 0]
