@@ -29,7 +29,7 @@ from gcd_dataset.metrics import (
 from gcd_dataset.records import BoxMesh, Pattern
 from gcd_dataset.scoring.answers import read_arrays
 from gcd_dataset.scoring.bodies import wearers_of
-from gcd_dataset.scoring.draping import crossings_of
+from gcd_dataset.scoring.draping import crossings_of, motion_crossings
 from gcd_dataset.scoring.garments import NO_ANSWER, Scored, kind_of
 from gcd_dataset.scoring.inputs import MESH, TaskFolder
 from gcd_dataset.tensors import EDGE_LABELS
@@ -110,9 +110,8 @@ def _judged_motion(task: TaskFolder, name: str, true: Pattern) -> Judged:
         found, mesh = _positions(path, compared[0].shape), box_mesh_of(given, true)
         body, size = wearers_of(str(task.bodies)).wearer(name, legs_apart=bool(truth["legs_apart"]))
         moved = (replace(body, vertices=place.astype(float)) for place in given["body_vertices"][1:])
-        return score_motion(
-            found, *compared, list(crossings_of((DrapeJob(mesh, there, size) for there in moved), found[1:]))
-        )
+        counts = list(motion_crossings(DrapeJob(mesh, body, size), moved, found[1:]))
+        return score_motion(found, *compared, counts)
 
     worst = np.full(compared[0].shape, np.nan)
     return score_motion(worst, *compared, [(cloth, cloth, skin)] * (len(worst) - 1)), score
