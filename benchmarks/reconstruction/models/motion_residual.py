@@ -25,11 +25,11 @@ from benchmarks.reconstruction.surface_net import SurfaceNet, SurfaceNetConfig, 
 from benchmarks.reconstruction.surfaces import METRE
 
 TASKS = ("T8",)
-WEIGHTS = {"positions": 1.0, "body": 0.2}
+WEIGHTS = {"positions": 1.0, "body": 2.0}
 USUAL: Mapping[str, Any] = {"batch": 32, "lr": 5e-4, "ema": 0.998}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {
-    "train": 8, "test": 4, "resolution": 5.0, "steps": 200, "batch": 4, "lr": 2e-3, "weight_decay": 0.0, "ema": 0.9,
+    "train": 6, "test": 4, "resolution": 6.0, "steps": 200, "batch": 4, "lr": 2e-3, "weight_decay": 0.0, "ema": 0.9,
     "log_every": 10, "checks": 2,
 }  # fmt: skip
 SMALL: Mapping[str, Any] = {
