@@ -67,7 +67,7 @@ def test_a_whole_turn_of_the_wearer_turns_the_cloth(walking: GarmentSet) -> None
     [moved] = skinned(walking, turned, device=CPU)
     first, last = moved.vertices[0], moved.vertices[-1]
     spans = [np.linalg.norm(place[:, None] - place[None], axis=2) for place in (first, last)]
-    np.testing.assert_allclose(*spans, atol=1e-2)
+    assert np.abs(spans[1] - spans[0]).max() < 1e-2
     assert np.linalg.norm(last - first, axis=1).max() > 2.0
 
 
