@@ -146,7 +146,7 @@ def _score_arrays(
     asked = {name: path for name, path in files.items() if (task.truth / f"{name}.npz").is_file()}
     remarks = [f"{answers}: {line}" for line in remarks_of(found, asked)]
     if left := len(files) - len(asked):
-        remarks.append(f"{task.truth}: {left} garments have no NAME.npz and no score")
+        remarks.append(f"{task.truth}: {left} of {len(files)} garments have no NAME.npz, and no score")
     scored = (score_arrays(task, name, read_true(path), found.get(name)) for name, path in sorted(asked.items()))
     return Scores(tuple(shown(scored, len(asked), "scored")), settings, tuple(remarks))
 

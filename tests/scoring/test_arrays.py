@@ -173,4 +173,4 @@ def test_positions_are_compared_in_each_frame_but_the_first(
     assert (found["d"]["error_cm"], found["d"]["stretch_error"]) == (100, 1)
     assert found["d"]["self_crossings"] > found["a"]["self_crossings"]
     assert "b" not in found
-    assert "1 garments have no NAME.npz and no score" in capsys.readouterr().err
+    assert "1 of 4 garments have no NAME.npz, and no score" in capsys.readouterr().err
