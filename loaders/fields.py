@@ -45,7 +45,8 @@ class GarmentFields(TypedDict, total=False):
     pose: Float[Tensor, "21 3"]
     """Bend, spread and twist of each of ``gcd_dataset.records.BONES`` [rad]; in recipes with ``poses``."""
     motion_verts: Float[Tensor, "t v 3"]
-    """Positions in each frame of the window [cm]; this field and the next three are of ``MotionWindows``."""
+    """Positions in each frame of the window [cm]; this field and the next three are of ``MotionWindows``.
+    ``GeneratedGarments`` have ``motion_verts`` and ``motion_pose`` of the whole motion."""
     motion_velocities: Float[Tensor, "t v 3"]
     """Way from the frame before, times frames a second [cm/s]; 0 in the first frame of the motion, at rest. Positions
     are multiples of 1/16 cm: of a slow garment take the mean of several frames."""

@@ -23,15 +23,17 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
 from gcd_dataset.generator.recipe import LastStage as Stage
 from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, layout_of_samples, recipe_of, versions
-from gcd_dataset.loaders.base import Garments, Transform, require_integer
+from gcd_dataset.loaders.base import Garments, Transform, decode_item, require_integer, tensor_of
 from gcd_dataset.loaders.fields import absent_at_stage
 from gcd_dataset.loaders.ranks import devices_of_process
 from gcd_dataset.options import require_options
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import read_file
-from gcd_dataset.shards.codec import decode_sample, encode_sample
+from gcd_dataset.shards.codec import decode_sample, encode_sample, motion_arrays
 from gcd_dataset.shards.layout import (
+    ARRAYS,
     META,
+    MOTION,
     SCHEMA,
     Bytes,
     fields_of,
@@ -43,6 +45,7 @@ from gcd_dataset.shards.layout import (
     recipe_hash,
 )
 from gcd_dataset.shards.meta import read_meta
+from gcd_dataset.shards.motion import decode_motion
 from gcd_dataset.shards.tar import END, samples_in, tar_entry
 from gcd_dataset.workers import prefetch
 
@@ -72,7 +75,8 @@ class GeneratedGarments(Garments):
 
     What an item holds:
 
-    - ``fields``: names of fields; ``None`` for all fields of the stage. Pictures are rendered only for a cache, or if
+    - ``fields``: names of fields; ``None`` for all fields of the stage, but for ``motion_verts`` and ``motion_pose``,
+      the whole motion of garments with a gait as ``poses``: name these. Pictures are rendered only for a cache, or if
       ``fields`` include ``front``, ``back`` or ``meta``, which holds the checksums of all members.
     - ``dtype``: the type of floating fields, float32 by default; ``None`` for the type stored in shards.
     - ``transform``: called with each item.
@@ -117,6 +121,7 @@ class GeneratedGarments(Garments):
             caption=config.captions,
             maps=config.maps,
             pose=bool(config.poses),
+            motion=bool(config.motion) and fields is not None,
             views=config.views,
             garments=config.most_garments,
         )
@@ -221,6 +226,13 @@ class GeneratedGarments(Garments):
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return self._several([position])[0]
+
+    def _item(self, members: Mapping[str, Bytes], position: int) -> Any:
+        moving = [field for field in self.fields if field in ARRAYS[MOTION]]
+        item = decode_item(members, [field for field in self.fields if field not in moving], self.dtype)
+        arrays = motion_arrays(decode_motion(members[MOTION])) if moving else {}
+        item.update({field: tensor_of(arrays[field], self.dtype) for field in moving})
+        return self._transformed(item, position)
 
     def _made(self, position: int) -> Mapping[str, Bytes]:
         """A garment made now, even if it is cached."""

@@ -19,7 +19,7 @@ from gcd_dataset.loaders.base import Item
 from gcd_dataset.loaders.scenes import BodyOf
 from gcd_dataset.metrics.answers import CLASS_OF, PANEL_CLASSES, panel_class
 from gcd_dataset.records import BodyPart, EdgeRole
-from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES, POINTS, SCAN_SIZE, person_points, seen_all_round
+from gcd_dataset.scoring.inputs import EVERY, PICTURE_SIZE, PICTURES, POINTS, SCAN_SIZE, person_points, seen_all_round
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, PanelColumn
 
 CENTRE = np.array([0.0, 100.0, 0.0])  # cm, roughly the centre of garments: half precision is finest near 0
@@ -161,11 +161,20 @@ def _shown(item: Item) -> np.ndarray:
     return pixel_labels({name: item[f"{name}_map"].numpy() for name in MAPS}, known)
 
 
+def _motion(item: Item) -> np.ndarray:
+    return np.asarray(item["motion_verts"][::EVERY].transpose(0, 1).numpy())
+
+
+def _turns(item: Item) -> np.ndarray:
+    return np.asarray(item["motion_pose"][::EVERY].numpy())
+
+
 DERIVED: Mapping[str, Derived] = {
     "box_labels": _labels_of("box"),
     "draped_labels": _labels_of("verts"),
     "design": Derived(("design",), _design),
     "fit": Derived(("meta",), _fit),
+    "motion": Derived(("motion_verts",), _motion),
     "panel_classes": Derived(("meta",), _panel_classes),
     "panel_names": Derived(("meta",), _panel_names),
     "person": Derived(VIEW_FIELDS, person_points),
@@ -173,11 +182,13 @@ DERIVED: Mapping[str, Derived] = {
     "pose": Derived(("meta",), _pose),
     "scan": Derived(VIEW_FIELDS, _scan),
     "shown": Derived((*VIEW_FIELDS, "panels"), _shown),
+    "turns": Derived(("motion_pose",), _turns),
 }
 """``box_labels``, ``draped_labels`` (n, 3): labels of each surface point, u8. The first is the class of the panel of
 the nearest triangle, a row of ``PANEL_CLASSES``. The others are those of its nearest corner: the label of the edge, a
 row of ``EDGE_LABELS``, and 1 on a seam. Bands along edges and seams are therefore about as wide as a triangle;
 ``design`` (1, d): parameters, as ``encode_design``; ``fit`` (1, 4): ``FIT``, NaN for a ring without cloth;
+``motion`` (v, t, 3): positions in the frames of T8 [cm]; ``turns`` (t, 21, 3): angles of ``BONES`` in them [rad];
 ``panel_classes`` (p): rows of ``PANEL_CLASSES``; ``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others;
 ``person`` (n, 7): points of garment and visible body as in the inputs of T5, NaN if no camera sees the garment;
 ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart; ``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth,

@@ -42,10 +42,10 @@ class DrapedSurfaces:
     """Box meshes, bodies and drapes on a device; batches are turned and mirrored at random."""
 
     def __init__(self, garments: GarmentSet, *, tokens: int, body: int, device: torch.device, workers: int = 0) -> None:
-        meshes = (_mesh_of(garments, k) for k in range(len(garments)))
-        surfaces = list(parallel_map(partial(_prepared, tokens), meshes, workers))
+        meshes = (mesh_of(garments, k, garments.ragged["box"][k]) for k in range(len(garments)))
+        surfaces = list(parallel_map(partial(prepared, tokens), meshes, workers))
         self.store = SurfaceStore(surfaces, tokens=tokens, device=device)
-        labels = np.concatenate([_given(garments, k) for k in range(len(garments))])
+        labels = np.concatenate([labels_of(garments, k) for k in range(len(garments))])
         self._given = torch.from_numpy(labels).to(device)
         drapes = [(garments.ragged["verts"][k] - CENTRE) / METRE for k in range(len(garments))]
         self._draped = torch.from_numpy(np.concatenate(drapes).astype(np.float32)).to(device)
@@ -72,20 +72,21 @@ class DrapedSurfaces:
         return DrapeBatch(turn.of(surface), given, body, draped)
 
 
-def _mesh_of(garments: GarmentSet, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Box mesh, faces, and the flat length of the edge after each corner of each face [cm]."""
+def mesh_of(garments: GarmentSet, k: int, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, faces, and the flat length of the edge after each corner of each face [cm]."""
     ragged = garments.ragged
     flat = ragged["uv"][k].astype(float)[ragged["corners"][k]]
     lengths = np.linalg.norm(flat[:, [1, 2, 0]] - flat, axis=-1)
-    return ragged["box"][k], ragged["faces"][k], lengths
+    return vertices, ragged["faces"][k], lengths
 
 
-def _prepared(tokens: int, mesh: tuple[np.ndarray, np.ndarray, np.ndarray]) -> SurfaceArrays:
+def prepared(tokens: int, mesh: tuple[np.ndarray, np.ndarray, np.ndarray]) -> SurfaceArrays:
+    """A result of ``mesh_of``, with so many clusters."""
     vertices, faces, lengths = mesh
     return surface_of(vertices, faces, clusters=tokens, lengths=lengths)
 
 
-def _given(garments: GarmentSet, k: int) -> Bool[np.ndarray, "v g"]:
+def labels_of(garments: GarmentSet, k: int) -> Bool[np.ndarray, "v g"]:
     """Edge labels, labels of the panels, and whether on a seam, for each vertex."""
     ragged = garments.ragged
     found = np.zeros((len(ragged["box"][k]), GIVEN), bool)

@@ -1,4 +1,4 @@
-"""Predicted drapes (task T6): scores, and drapes by our own solver to compare with."""
+"""Predicted drapes and motions (tasks T6 and T8): scores, and drapes by our own solver to compare with."""
 
 import time
 from collections.abc import Sequence
@@ -12,22 +12,24 @@ from jaxtyping import Float
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.wearers import box_mesh_of, measurements_of, wearer_of
 from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.body.pose import pose_body
 from gcd_dataset.generator.drape import DrapeJob, drape_batch
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
 from gcd_dataset.generator.mesh.coarse import coarse_start
 from gcd_dataset.generator.mesh.triangulate import barycentric
-from gcd_dataset.metrics import DrapeScore, score_drape
+from gcd_dataset.metrics import DrapeScore, score_drape, score_motion
 from gcd_dataset.records import BoxMesh
-from gcd_dataset.scoring.draping import crossings_of
+from gcd_dataset.scoring.draping import crossings_of, motion_crossings
+from gcd_dataset.scoring.inputs import poses_of
 
 
 @dataclass(frozen=True, eq=False)
 class DrapedVertices:
     """Predicted positions of a garment's vertices: an answer."""
 
-    vertices: Float[np.ndarray, "v 3"]
-    """[cm]"""
+    vertices: Float[np.ndarray, "*t v 3"]
+    """Of T8 in each frame, of which the first is given [cm]."""
     ms: float
     """Time of this garment in its batch [ms], without the preparation of meshes."""
 
@@ -44,28 +46,52 @@ def score_drapes(
     answers: Sequence[DrapedVertices], garments: GarmentSet, *, device: str = "auto", crossings: bool = True
 ) -> list[TimedScore]:
     """The scores of answers for garments; without ``crossings`` they are 0."""
-    none = [(0, 0, 0)] * len(answers)
+    none = [[(0, 0, 0)] * len(asked(answer.vertices)) for answer in answers]
     counts = counted([answer.vertices for answer in answers], garments, device=device) if crossings else none
     found = []
     for k, (answer, count) in enumerate(zip(answers, counts, strict=True)):
         flat = garments.ragged["uv"][k].astype(float)[garments.ragged["corners"][k]]
-        true, faces = garments.ragged["verts"][k].astype(float), garments.ragged["faces"][k]
-        found.append(TimedScore(**vars(score_drape(answer.vertices, true, faces, flat, count)), ms=answer.ms))
+        given, true, faces = answer.vertices, truth_of(garments, k), garments.ragged["faces"][k]
+        if true.ndim == 3:
+            score = score_motion(given, true, faces, flat, count)
+        else:
+            score = score_drape(given, true, faces, flat, count[0])
+        found.append(TimedScore(**vars(score), ms=answer.ms))
     return found
+
+
+def asked(vertices: Float[np.ndarray, "*t v 3"]) -> Float[np.ndarray, "t v 3"]:
+    """The positions that are predicted: the drape, or the frames of a motion after the first."""
+    return vertices[1:] if vertices.ndim == 3 else vertices[None]
+
+
+def truth_of(garments: GarmentSet, k: int) -> Float[np.ndarray, "*t v 3"]:
+    """The true positions of garment ``k``, of T8 in each frame [cm]."""
+    if "motion" in garments.ragged:
+        return np.asarray(garments.ragged["motion"][k].transpose(1, 0, 2), float)
+    return np.asarray(garments.ragged["verts"][k], float)
 
 
 # -------------------------------------------------------------------------------------------------------- the crossings
 
 
 def counted(
-    drapes: Sequence[Float[np.ndarray, "v 3"]], garments: GarmentSet, *, device: str = "auto"
-) -> list[tuple[int, int, int]]:
-    """Crossing edges of each drape as our solver counts them: cloth and cloth, cloth and skin, skin and cloth."""
+    drapes: Sequence[Float[np.ndarray, "*t v 3"]], garments: GarmentSet, *, device: str = "auto"
+) -> list[list[tuple[int, int, int]]]:
+    """Crossing edges of each drape, or frame that is ``asked``, as our solver counts them: cloth and cloth, cloth and
+    skin, skin and cloth.
+    """
     jobs = (
         DrapeJob(box_mesh_of(garments, k), wearer_of(garments, k), measurements_of(garments, k))
         for k in range(len(drapes))
     )
-    return list(crossings_of(jobs, drapes, device=device))
+    if "turns" not in garments.ragged:
+        return [[counts] for counts in crossings_of(jobs, drapes, device=device)]
+    found = []
+    for k, (job, places) in enumerate(zip(jobs, drapes, strict=True)):
+        bodies = (pose_body(job.body, pose) for pose in poses_of(garments.ragged["turns"][k][1:].astype(float)))
+        found.append(list(motion_crossings(job, bodies, asked(places), device=device)))
+    return found
 
 
 # ------------------------------------------------------------------------------------------------------- the own solver

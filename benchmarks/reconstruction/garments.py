@@ -27,7 +27,7 @@ from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.records import Outcome, Pattern
 from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.bodies import published_body
-from gcd_dataset.scoring.inputs import SEED
+from gcd_dataset.scoring.inputs import SEED, moves
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import key_of
 from gcd_dataset.spec import read_pattern
@@ -468,7 +468,9 @@ class _Packed:
         return found if self.keeps(item) else found.select([])
 
     def keeps(self, item: Item) -> bool:
-        """Whether the drape settled, and, where the fit is asked, there is a ring with cloth."""
+        """Whether the drape settled; where the fit is asked, there is a ring with cloth; and a motion is whole."""
+        if "motion" in self.extra and not moves(item):
+            return False
         is_settled = (item["meta"].get("drape") or {}).get("outcome", "") in ("", Outcome.SETTLED.name)
         return is_settled and ("fit" not in self.extra or bool(np.isfinite(DERIVED["fit"].of(item)[0, 1:]).any()))
 

@@ -48,7 +48,11 @@ def judge_of(task: ReconstructionTask, *, watching: bool = False) -> Judge:
         return Numbers(MEASURES, numbers_of, score_measures)
     if task.name == "T7":
         return Numbers(FIT, numbers_of, score_fit)
-    return Drapes(crossings=not watching) if task.name == "T6" else Patterns(draped=bool(task.options.get("drape")))
+    return (
+        Drapes(crossings=not watching)
+        if task.name in ("T6", "T8")
+        else Patterns(draped=bool(task.options.get("drape")))
+    )
 
 
 def numbers_of(garments: GarmentSet) -> Float[np.ndarray, "g n"]:
@@ -205,7 +209,7 @@ def _plot(name: str, pairs: np.ndarray, size: int = 160) -> UInt8[np.ndarray, "h
 
 @dataclass(frozen=True)
 class Drapes:
-    """Answers are ``DrapedVertices``, written as ``predictions/KEY.npz``."""
+    """Answers are ``DrapedVertices``, of T8 in each frame, written as ``predictions/KEY.npz``."""
 
     crossings: bool = True
     """Whether crossings are counted."""
@@ -216,11 +220,13 @@ class Drapes:
         return score_drapes(answers, garments, crossings=self.crossings)
 
     def picture(self, answers: Sequence[Any], garments: GarmentSet) -> UInt8[np.ndarray, "h w 3"]:
-        """The drape from the front and from behind, then the answer at the same scale."""
+        """The drape, or last frame, from the front and from behind, then the answer at the same scale."""
+        from benchmarks.reconstruction.drapes import asked, truth_of
+
         pictures = []
         for k, answer in enumerate(answers[:SHOWN]):
-            true, faces = garments.ragged["verts"][k], garments.ragged["faces"][k]
-            for vertices in (true, answer.vertices):
+            true, faces = asked(truth_of(garments, k))[-1], garments.ragged["faces"][k]
+            for vertices in (true, asked(answer.vertices)[-1]):
                 pictures += _both_sides(vertices, faces, garments.ragged["panel_id"][k] % len(PALETTE), frame=true)
         return contact_sheet(pictures, columns=4)
 

@@ -1,4 +1,4 @@
-"""The tasks T0 to T7: what is given, what is asked, the garments, and the score that heads the table.
+"""The tasks T0 to T8: what is given, what is asked, the garments, and the score that heads the table.
 
 The garments are functions of a seed: the training set of seed ``TRAIN_SEED``, of which each size holds the smaller
 ones; the test set, garments of the frozen inputs of ``gcd bench``, the same designs in every task and for every size
@@ -16,7 +16,7 @@ from typing import Any
 from benchmarks.reconstruction.garments import GarmentSet, Split, generated, read_folder, split_off
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.filekinds import is_published
-from gcd_dataset.scoring.inputs import SEED
+from gcd_dataset.scoring.inputs import MOVING, MOVING_TESTED, SEED
 
 TRAIN_SEED, CHECK_SEED, FRESH_SEED = 0, 2, 1000
 CHECKED = 32  # garments that watch a training
@@ -38,7 +38,7 @@ MESH: Mapping[str, Any] = {"drape": None, "resolution": 2.0}
 PATTERN: Mapping[str, Any] = {"stage": "pattern", "drape": None}
 DRAPE: Mapping[str, Any] = {"drape": "warp", "resolution": 2.0}
 MISFIT: Mapping[str, Any] = {**DRAPE, "bodies": "female", "sizes": "women", "misfit": "-3:3", "ease": True}
-OF_BODIES = ("T5", "T6")
+OF_BODIES = ("T5", "T6", "T8")
 """Tasks that need the shape weights of the wearers."""
 POSE = ("pose",)
 """Fields of T0, T1 and T2: the bodies on which answers can be draped."""
@@ -48,7 +48,7 @@ SURFACES = (
     "verts", "faces", "panel_id", "seams", "corners", "uv", "uv_vertex", "box",
     "labels", "panel_classes", "pose",
 )  # fmt: skip
-"""Arrays of T4 and T6, which share their garments and so their cache."""
+"""Arrays of T4 and T6, which share their garments and so their cache; and of T8."""
 
 
 @dataclass(frozen=True)
@@ -198,6 +198,10 @@ TASKS = {
         ReconstructionTask(
             "T7", "pictures of a garment of another size than the wearer's", "size and ease", "error_cm", MISFIT,
             extra=("pictures", "shown", "fit"), sizes=(1000, 4000),
+        ),
+        ReconstructionTask(
+            "T8", "motion of the body, mesh, and the first frame", "positions in motion", "error_cm", MOVING,
+            extra=(*SURFACES, "motion", "turns"), sizes=(200, 1000), tested=MOVING_TESTED,
         ),
     )
 }  # fmt: skip

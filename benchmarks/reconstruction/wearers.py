@@ -41,7 +41,7 @@ def body_points(garments: GarmentSet, count: int, *, workers: int = 0) -> list[F
 
     The same vertices of every body, without head, hands and feet.
     """
-    rows = _rows(count, len(garments.shapes[0]))
+    rows = skin_rows(count, len(garments.shapes[0]))
     return list(parallel_map(partial(_points, rows), (shape_of(garments, k) for k in range(len(garments))), workers))
 
 
@@ -51,15 +51,24 @@ def box_mesh_of(garments: GarmentSet, k: int) -> BoxMesh:
     return arrays_mesh(arrays, garments.pattern(k))
 
 
+def unhidden(body: Body) -> Int[np.ndarray, " n"]:
+    """Vertices of a body without head, hands and feet."""
+    return np.flatnonzero(~np.isin(body.parts, HIDDEN))
+
+
 @lru_cache(maxsize=4)
-def _rows(count: int, weights: int) -> Int[np.ndarray, " n"]:
+def skin_rows(count: int, weights: int) -> Int[np.ndarray, " n"]:
     """Vertices of the mean body, spread evenly."""
     body = build_body(BodyShape(np.zeros(weights)))
-    shown = np.flatnonzero(~np.isin(body.parts, HIDDEN))
+    shown = unhidden(body)
     return shown[farthest_points(body.vertices[shown], count)]
 
 
 def _points(rows: Int[np.ndarray, " n"], shape: BodyShape) -> Float[np.ndarray, "n 6"]:
-    body = stored_body(shape)
+    return skin_points(stored_body(shape), rows)
+
+
+def skin_points(body: Body, rows: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 6"]:
+    """Vertices of a body, relative to ``CENTRE`` [m], and normals."""
     normals = vertex_normals(body.vertices, body.faces)
     return np.concatenate([(body.vertices - CENTRE) / METRE, normals], axis=1)[rows].astype(np.float32)

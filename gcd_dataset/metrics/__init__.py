@@ -20,6 +20,7 @@ from gcd_dataset.metrics.answers import (
     score_drape,
     score_labels,
     score_measures,
+    score_motion,
     true_labels,
 )
 from gcd_dataset.metrics.matching import PanelPair, match_panels, matched_edges
@@ -53,6 +54,7 @@ __all__ = [
     "score_drape",
     "score_labels",
     "score_measures",
+    "score_motion",
     "score_pattern",
     "seam_lengths_score",
     "sewn_pieces",

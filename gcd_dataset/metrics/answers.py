@@ -1,4 +1,4 @@
-"""Scores of answers that are no patterns: labels of vertices (T4), measures of a body (T5), drapes (T6).
+"""Scores of answers that are no patterns: labels of vertices (T4), measures of a body (T5), drapes (T6), motions (T8).
 
 Numbers of panels and seams belong to one garment, and any numbering is as good as another: answers are compared under
 the one-to-one assignment of predicted to true numbers that gives most vertices right (Hungarian method). Predicted
@@ -8,7 +8,8 @@ Errors have limits, which a missing number gets: means over garments stay finite
 """
 
 import re
-from dataclasses import dataclass, make_dataclass
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, make_dataclass
 from typing import Any
 
 import numpy as np
@@ -259,6 +260,24 @@ def score_drape(
         body_crossings=float(crossings[1]),
         body_through=float(crossings[2]),
     )
+
+
+def score_motion(
+    answer: Float[np.ndarray, "t v 3"],
+    true: Float[np.ndarray, "t v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    flat: Float[np.ndarray, "f 3 2"],
+    crossings: Sequence[tuple[int, int, int]],
+) -> DrapeScore:
+    """The mean scores of the frames of a motion after the first, which is given: ``within_1cm`` is a share of frames.
+
+    ``crossings``: of each of these frames; other arguments, and errors, as of ``score_drape``.
+    """
+    if answer.shape != true.shape:
+        raise ValueError(f"positions of shape {answer.shape} for {true.shape}")
+    frames = zip(answer[1:], true[1:], crossings, strict=True)
+    scores = [astuple(score_drape(there, place, faces, flat, counts)) for there, place, counts in frames]
+    return DrapeScore(*np.mean(scores, axis=0).tolist())
 
 
 def _sides(corner: Float[np.ndarray, "f 3 d"]) -> Float[np.ndarray, "f 3"]:

@@ -1,31 +1,40 @@
-"""Answers that are no patterns: labels of vertices (T4), measures (T5), drapes (T6), and their scores.
+"""Answers that are no patterns: labels of vertices (T4), measures (T5), drapes (T6), motions (T8), and their scores.
 
 An answer that is missing, cannot be read, has another number of vertices or is not finite gets the worst of every
 score, for a reason, and stops nothing.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from gcd_dataset.errors import SpecError
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.jsonfile import JsonPath, read_json
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.metrics import TrueLabels, VertexLabels, VertexScore, score_drape, score_labels, score_measures
+from gcd_dataset.metrics import (
+    TrueLabels,
+    VertexLabels,
+    VertexScore,
+    score_drape,
+    score_labels,
+    score_measures,
+    score_motion,
+)
 from gcd_dataset.records import BoxMesh, Pattern
 from gcd_dataset.scoring.answers import read_arrays
 from gcd_dataset.scoring.bodies import wearers_of
-from gcd_dataset.scoring.draping import crossings_of
+from gcd_dataset.scoring.draping import crossings_of, motion_crossings
 from gcd_dataset.scoring.garments import NO_ANSWER, Scored, kind_of
 from gcd_dataset.scoring.inputs import MESH, TaskFolder
 from gcd_dataset.tensors import EDGE_LABELS
 
-ENDINGS = {"T4": ".npz", "T5": ".json", "T6": ".npz"}
+ENDINGS = {"T4": ".npz", "T5": ".json", "T6": ".npz", "T8": ".npz"}
 FAR = 1e4  # cm: no drape reaches as far
 Judged = tuple[Any, Callable[[Path], Any]]
 """The worst scores of a garment, and the scores of the answer in a file."""
@@ -83,20 +92,40 @@ def _judged_drape(task: TaskFolder, name: str, true: Pattern) -> Judged:
     compared = truth["vertices"].astype(float), given["faces"], given["uv"][given["corners"]].astype(float)
 
     def score(path: Path) -> Any:
-        found = read_arrays(path, ["vertices"])["vertices"]
-        if found.shape != compared[0].shape or found.dtype.kind not in "fiu" or not (np.abs(found) < FAR).all():
-            raise SpecError(
-                f"vertices: {found.dtype} of shape {found.shape}: give {compared[0].shape} finite numbers [cm]"
-            )
+        found = _positions(path, compared[0].shape)
         body, size = wearers_of(str(task.bodies)).wearer(name, legs_apart=bool(truth["legs_apart"]))
         (crossings,) = crossings_of([DrapeJob(box_mesh_of(given, true), body, size)], [found])
-        return score_drape(found.astype(float), *compared, crossings)
+        return score_drape(found, *compared, crossings)
 
     return score_drape(np.full(compared[0].shape, np.nan), *compared, (cloth, cloth, skin)), score
 
 
+def _judged_motion(task: TaskFolder, name: str, true: Pattern) -> Judged:
+    given = read_arrays(task.inputs / f"{name}.npz", ("vertices", *MESH, "body_vertices", "body_faces"))
+    truth = read_arrays(task.truth / f"{name}.npz", ("vertices", "legs_apart"))
+    cloth, skin = (len(mesh_edges(given[key]).ends) for key in ("faces", "body_faces"))
+    compared = truth["vertices"].astype(float), given["faces"], given["uv"][given["corners"]].astype(float)
+
+    def score(path: Path) -> Any:
+        found, mesh = _positions(path, compared[0].shape), box_mesh_of(given, true)
+        body, size = wearers_of(str(task.bodies)).wearer(name, legs_apart=bool(truth["legs_apart"]))
+        moved = (replace(body, vertices=place.astype(float)) for place in given["body_vertices"][1:])
+        counts = list(motion_crossings(DrapeJob(mesh, body, size), moved, found[1:]))
+        return score_motion(found, *compared, counts)
+
+    worst = np.full(compared[0].shape, np.nan)
+    return score_motion(worst, *compared, [(cloth, cloth, skin)] * (len(worst) - 1)), score
+
+
+def _positions(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "*t v 3"]:
+    found = read_arrays(path, ["vertices"])["vertices"]
+    if found.shape != shape or found.dtype.kind not in "fiu" or not (np.abs(found) < FAR).all():
+        raise SpecError(f"vertices: {found.dtype} of shape {found.shape}: give {shape} finite numbers [cm]")
+    return np.asarray(found, float)
+
+
 JUDGES: Mapping[str, Callable[[TaskFolder, str, Pattern], Judged]] = {
-    "T4": _judged_labels, "T5": _judged_measures, "T6": _judged_drape
+    "T4": _judged_labels, "T5": _judged_measures, "T6": _judged_drape, "T8": _judged_motion
 }  # fmt: skip
 
 

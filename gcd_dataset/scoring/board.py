@@ -35,7 +35,7 @@ MORE: Mapping[str, type] = {"url": str, "note": str, "baseline": bool}
 WORDS: Mapping[type, str] = {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}
 HEADLINES = {
     "T3": "stitch_nm_perfect", "T3-subdivided": "garment_perfect", "T4": "panel_label", "T5": "error_cm",
-    "T6": "error_cm",
+    "T6": "error_cm", "T8": "error_cm",
 }  # fmt: skip
 """The score that ranks a task's answers; of the other tasks ``STRICT``, or ``COMBINATORIAL`` without drapes."""
 STRICT, COMBINATORIAL = "strict_within_1cm", "combinatorial"

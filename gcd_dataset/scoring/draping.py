@@ -15,8 +15,11 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import mirrored, sample_curve
 from gcd_dataset.errors import BodyError, GcdError
+from gcd_dataset.generator.device import to_host
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_all, resolve_device
 from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.moving import Motion
+from gcd_dataset.generator.drape.slots import CoarseEnd, Slots, rooms_of
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
@@ -138,6 +141,29 @@ def crossings_of(
         solver.state.x.assign(np.concatenate([vertices for _, vertices in batch]).astype(np.float32))
         for row in zip(solver.self_crossings(), solver.body_crossings(), solver.body_through(), strict=True):
             yield int(row[0]), int(row[1]), int(row[2])
+
+
+def motion_crossings(
+    job: DrapeJob, bodies: Iterable[Body], frames: Iterable[Float[np.ndarray, "v 3"]], *, device: str = "auto"
+) -> Iterator[tuple[int, int, int]]:
+    """``crossings_of`` a garment in frames of a motion: ``bodies``, of the mesh of the job's, as it moves.
+
+    The solver is built once, for the body of ``job``, whose skin then moves.
+    """
+    config, device = DrapeConfig(), resolve_device(device)
+    model = build_model([job], config, device)
+    slots = Slots(sum(rooms_of(model)), 1, config, device)
+    slots.place(model, [CoarseEnd.at_rest(job.box_mesh.vertices, config.sewing_time, device)])
+    slots.move(0, Motion.of([job.body, job.body]), ends=False)
+    solver = slots.solver
+    for body, vertices in zip(bodies, frames, strict=True):
+        slots.move_on(0, Motion.of([job.body, body]), 1.0)
+        solver.moving[0].arrive()
+        places = to_host(solver.state.x)
+        places[solver.model.vertices[0]] = vertices
+        solver.state.x.assign(places)
+        counts = solver.self_crossings(), solver.body_crossings(), solver.body_through()
+        yield int(counts[0][0]), int(counts[1][0]), int(counts[2][0])
 
 
 @dataclass(frozen=True)

@@ -83,8 +83,8 @@ def score(
     """The scores of a folder of answers. Every true pattern counts: a missing answer gets the worst of every score.
 
     ``truth``: a folder of true specification files, or a folder of ``write_inputs``, which has bodies and inputs of its
-    own, and of T4, T5 and T6 answers that are no patterns: see ``scoring.arrays``. ``repair``: see ``AnswerReader``.
-    ``bodies``: see ``wearers_of``. ``drapes``: also drape the answers.
+    own, and of T4, T5, T6 and T8 answers that are no patterns: see ``scoring.arrays``. ``repair``: see
+    ``AnswerReader``. ``bodies``: see ``wearers_of``. ``drapes``: also drape the answers.
 
     Raises ``GcdError`` for folders, true patterns, bodies and inputs that are missing or cannot be read.
     """
@@ -143,9 +143,12 @@ def _score_arrays(
     from gcd_dataset.scoring.arrays import answer_files, score_arrays
 
     found = answer_files(task, answers)
-    remarks = tuple(f"{answers}: {line}" for line in remarks_of(found, files))
-    scored = (score_arrays(task, name, read_true(path), found.get(name)) for name, path in sorted(files.items()))
-    return Scores(tuple(shown(scored, len(files), "scored")), settings, remarks)
+    asked = {name: path for name, path in files.items() if (task.truth / f"{name}.npz").is_file()}
+    remarks = [f"{answers}: {line}" for line in remarks_of(found, asked)]
+    if left := len(files) - len(asked):
+        remarks.append(f"{task.truth}: {left} of {len(files)} garments have no NAME.npz, and no score")
+    scored = (score_arrays(task, name, read_true(path), found.get(name)) for name, path in sorted(asked.items()))
+    return Scores(tuple(shown(scored, len(asked), "scored")), settings, tuple(remarks))
 
 
 def _of_task(drapes: Drapes, task: TaskFolder) -> Drapes:

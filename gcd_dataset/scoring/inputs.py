@@ -32,6 +32,7 @@ from gcd_dataset.making.progress import Progress, ProgressCallback
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics.answers import PANEL_CLASSES, panel_class, true_labels
 from gcd_dataset.patternhash import PatternHash, hash_pattern
+from gcd_dataset.records import BONES, FPS, POSITION_STEP, Pose, as_stored
 from gcd_dataset.scoring.bodies import read_weights
 from gcd_dataset.scoring.joining import joined
 from gcd_dataset.seeding import Stage, rng
@@ -54,19 +55,29 @@ SCAN_SIZE = 320  # pixels of the depth camera along each side
 PERSON_CAMERAS, PERSON_POINTS, PERSON_SIZE = 4, 4096, 200  # of T5, without noise
 PICTURES, PICTURE_SIZE = 4, 256  # of a garment; pixels along each side
 PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".webp")
+MOVING_TESTED, MOVING_MINI = 200, 20  # of T8: a garment in motion takes a minute of a CPU core
+EVERY = 2  # frames of a motion to one of T8: 15 a second
 TASK = "task.json"
 WEIGHT_STEP = 1e-4  # weights of bodies are rounded before they are hashed
-FROZEN: Mapping[bool, Mapping[str, str]] = {
-    False: {
+FROZEN: Mapping[int, Mapping[str, str]] = {
+    TESTED: {
         "patterns": "fbd7b599d1a5d8f16740f84a618b5d2181bbc3311803dddb0a5219d3f9caa9f0",
         "bodies": "38cdefac5428d1c27f94385875334b561fa5377350a4ff6f69e97ed2c314f5a5",
     },
-    True: {
+    MOVING_TESTED: {
+        "patterns": "6813c2565f0c53118f71d6764fa20ca6a984b1bc5a6ee1321f334f6859f3b0c6",
+        "bodies": "a7da958838d94b8d77b04cfe936880d529c1f0cb8352b30083cf9e0eae9ef901",
+    },
+    MINI: {
         "patterns": "969db4633528ed89d687591a31ef6c9030626db0095a284656a896212f8a6383",
         "bodies": "9187c65b7dda094c6b555b55ce5f11a7ffc29d74b35c9e4ca941d00e40c4ecbe",
     },
+    MOVING_MINI: {
+        "patterns": "4b3d4373d963c970b5547b90f2a1f351fc3cc37f7db9777bc9111aa8062141be",
+        "bodies": "0b3f9bf166e9e11cf1a8ceb3cdc90d0482a9a1a87fe1e5aff62aa86e3ef44a4e",
+    },
 }
-"""The hashes of the whole test set, and of its first ``MINI`` garments."""
+"""The hashes of the whole test set, and of its first garments, by their number."""
 BARE, BARE_EDGE = ("translation", "rotation", "vertices", "edges"), ("endpoints", "curvature")
 Write = Callable[["Item", Path], None]
 
@@ -86,6 +97,12 @@ class BoardTask:
     """Makes the transform that gives items what ``write`` needs."""
     truth: Callable[["Item", str], Mapping[str, np.ndarray]] | None = None
     """The true arrays of an item named so, with which answers are compared that are no patterns."""
+    fields: tuple[str, ...] = ()
+    """Further fields of an item."""
+    asks: Callable[["Item"], bool] = lambda item: True
+    """Whether an item is asked; of others only pattern and body are written."""
+    counts: tuple[int, int] = (TESTED, MINI)
+    """Garments of the test set, and of the one for a laptop."""
 
 
 def _points(item: "Item", stem: Path) -> None:
@@ -174,14 +191,44 @@ def _box_mesh(item: "Item", stem: Path) -> None:
     from gcd_dataset.generator.views import stored_body
 
     body = stored_body(shape_of(item["body"].numpy().astype(float), item["meta"]["pose"]))
-    arrays = {name: item[name].numpy() for name in MESH} | {"vertices": item["box"].numpy().astype(np.float32)}
-    arrays |= {"body_vertices": body.vertices.astype(np.float32), "body_faces": body.faces.astype(np.int32)}
-    _save_arrays(stem, arrays)
+    _save_mesh(item, stem, body.faces, body_vertices=body.vertices.astype(np.float32))
+
+
+def _save_mesh(item: "Item", stem: Path, body_faces: Int[np.ndarray, "f 3"], **arrays: np.ndarray) -> None:
+    mesh = {name: item[name].numpy() for name in MESH} | {"vertices": item["box"].numpy().astype(np.float32)}
+    _save_arrays(stem, {**mesh, **arrays, "body_faces": body_faces.astype(np.int32)})
     _write_json(stem.with_name(f"{stem.name}_specification.json"), item["spec"])
+
+
+def moves(item: "Item") -> bool:
+    """Whether the garment comes to rest, and stays on the body to the end of the motion."""
+    motion = item["meta"]["motion"]
+    return bool(motion["frames"] == motion["asked"])
+
+
+def poses_of(turns: Float[np.ndarray, "t 21 3"]) -> list[Pose]:
+    """The poses of angles of ``BONES`` [rad]."""
+    return [Pose(dict(zip(BONES, map(tuple, rows), strict=True)), f"{k}") for k, rows in enumerate(turns.tolist())]
+
+
+def _motion(item: "Item", stem: Path) -> None:
+    """The mesh before the drape, the garment at rest, the pattern, and the wearer in each frame."""
+    from gcd_dataset.generator.body.pose import pose_body
+    from gcd_dataset.generator.views import stored_body
+
+    turns, first = item["motion_pose"][::EVERY].numpy().astype(float), item["motion_verts"][0].numpy()
+    home = stored_body(replace(shape_of(item["body"].numpy().astype(float), item["meta"]["pose"]), pose=None))
+    skin = as_stored(np.stack([pose_body(home, pose).vertices for pose in poses_of(turns)]), POSITION_STEP)
+    moving = {"pose": turns.astype(np.float32), "body_vertices": skin.astype(np.float32)}
+    _save_mesh(item, stem, home.faces, first=first.astype(np.float32), **moving)
 
 
 def _positions(item: "Item", name: str) -> Mapping[str, np.ndarray]:
     return {"vertices": item["verts"].numpy(), "legs_apart": np.array(item["meta"]["pose"]["legs_apart"])}
+
+
+def _motion_positions(item: "Item", name: str) -> Mapping[str, np.ndarray]:
+    return {**_positions(item, name), "vertices": item["motion_verts"][::EVERY].numpy().astype(np.float32)}
 
 
 def _save_arrays(stem: Path, arrays: Mapping[str, Any]) -> None:
@@ -211,6 +258,7 @@ def _pictured() -> "Transform":
 
 DRAPED = {"drape": "warp", "points": POINTS}
 PATTERN = {"drape": None, "stage": "pattern"}
+MOVING = {"drape": "warp", "resolution": 3.0, "poses": "walk-cycle"}
 MESH = ("faces", "uv", "corners", "uv_vertex", "panel_id", "seams", "labels")
 """Fields of a box mesh besides its vertices."""
 WORDS: Mapping[str, Mapping[str, Sequence[str]]] = {
@@ -236,6 +284,12 @@ TASKS: Mapping[str, BoardTask] = {
         BoardTask(
             "T6", f"NAME.npz: vertices [cm], {', '.join(MESH)} of the box mesh; body_vertices [cm], body_faces; "
             "NAME_specification.json: the pattern", _box_mesh, DRAPED, truth=_positions,
+        ),
+        BoardTask(
+            "T8", f"NAME.npz: vertices [cm], {', '.join(MESH)} of the box mesh; first, the cloth in the first of t "
+            f"frames, {FPS / EVERY:g} a second (v, 3) [cm]; pose (t, 21, 3) [rad]; body_vertices (t, b, 3) [cm], "
+            "body_faces; NAME_specification.json: the pattern", _motion, MOVING, truth=_motion_positions,
+            fields=("motion_verts", "motion_pose"), asks=moves, counts=(MOVING_TESTED, MOVING_MINI),
         ),
     )
 }  # fmt: skip
@@ -280,7 +334,7 @@ class TaskFolder:
     @property
     def count(self) -> int:
         """Garments of the test set."""
-        return MINI if self.mini else TESTED
+        return TASKS[self.task].counts[self.mini]
 
     def require_frozen(self) -> None:
         """Compare all patterns and bodies with the hashes of the frozen set.
@@ -293,7 +347,7 @@ class TaskFolder:
             patterns += hash_pattern(index, encode_pattern(read_pattern(self.truth / f"{name}_specification.json")))
             weights = read_weights(self.bodies / f"{name}.npy")
             bodies.update(np.rint(weights / WEIGHT_STEP).astype("<i8").tobytes())
-        frozen = FROZEN[self.mini]
+        frozen = FROZEN[self.count]
         if not patterns.agrees(frozen["patterns"]) or bodies.hexdigest() != frozen["bodies"]:
             raise SpecError(
                 f"{self.path}: patterns or bodies differ from the frozen test set: make it again with gcd bench "
@@ -334,8 +388,9 @@ def write_inputs(
 ) -> TaskFolder:
     """Write the test inputs of a task; go on where an earlier call stopped.
 
-    ``mini``: the first hundred, for a laptop. ``workers``: processes that make garments. Raises ``ConfigError`` for an
-    unknown task or a folder of other inputs, ``SpecError`` where the garments are not those of the frozen hashes.
+    ``mini``: the first hundred, of T8 twenty, for a laptop. ``workers``: processes that make garments. Raises
+    ``ConfigError`` for an unknown task or a folder of other inputs, ``SpecError`` where the garments are not those of
+    the frozen hashes.
     """
     from gcd_dataset.loaders import VIEW_FIELDS, FreshGarments, GeneratedGarments
 
@@ -353,27 +408,29 @@ def write_inputs(
     _write_json(out / TASK, {**tree, "finished": False})
     first = len(list(folder.truth.glob("*.json")))  # written in order, each after its input
     fields = (
-        (*VIEW_FIELDS, "points", "measures", "box", "labels") if made.options["drape"] else ("meta", "spec", "body")
+        (*VIEW_FIELDS, "points", "measures", "box", "labels", *made.fields)
+        if made.options["drape"]
+        else ("meta", "spec", "body")
     )
-    garments = GeneratedGarments(
-        folder.count, SEED, **made.options, fields=fields, device=device, resolution=RESOLUTION, picture=0,
-        on_fail="keep", transform=made.transform and made.transform(),
-    )  # fmt: skip
+    options = {"resolution": RESOLUTION, "picture": 0, "on_fail": "keep", "device": device, **made.options}
+    transform = made.transform and made.transform()
+    garments = GeneratedGarments(folder.count, SEED, **options, fields=fields, transform=transform)
     progress = Progress(folder.count, first)
     fresh = FreshGarments(garments.select(range(first, folder.count)), workers=workers, room=1)
     for index, item in enumerate(fresh, first):
         name = key_of(index)
-        made.write(item, folder.inputs / name)
+        if made.asks(item):
+            made.write(item, folder.inputs / name)
         _save(item["body"].numpy(), folder.bodies / name)
         _write_json(folder.bodies / f"{name}.meta.json", {"pose": item["meta"]["pose"]})
-        if made.truth:
+        if made.truth and made.asks(item):
             _save_arrays(folder.truth / name, made.truth(item, name))
         _write_json(folder.truth / f"{name}_specification.json", item["spec"])
         progress = replace(progress, made=progress.made + 1)
         if on_progress:
             on_progress(progress)
     folder.require_frozen()
-    _write_json(out / TASK, {**tree, "finished": True, "hashes": FROZEN[mini]})
+    _write_json(out / TASK, {**tree, "finished": True, "hashes": FROZEN[folder.count]})
     return folder
 
 

@@ -27,6 +27,7 @@ from gcd_dataset.errors import GcdError, ShardError
 from gcd_dataset.jsonfile import found
 from gcd_dataset.meshedges import fold_edges
 from gcd_dataset.records import (
+    BONES,
     MEASURES,
     NO_MESH,
     POSITION_STEP,
@@ -614,7 +615,8 @@ def _decoded_garment(members: Mapping[str, Bytes], fields: Sequence[str]) -> dic
     for member in members_of(stored, stored):
         with _reading(member):
             if member == MOTION:
-                arrays |= _motion_rows(decode_motion(members[member]))
+                moving = motion_arrays(decode_motion(members[member]))
+                arrays |= {name: values.reshape(-1, 3) for name, values in moving.items()}
                 continue
             arrays |= unpack(members[member], sections)
             if member == "pattern.z" and "lines" in arrays:
@@ -823,10 +825,10 @@ def _provenance(meta: Mapping[str, Any], rejects: Sequence[Mapping[str, Any]]) -
     )
 
 
-def _motion_rows(motion: GarmentMotion) -> dict[str, np.ndarray]:
-    """The fields of a motion: rows of its frames, one frame after the other."""
+def motion_arrays(motion: GarmentMotion) -> dict[str, np.ndarray]:
+    """The fields of a motion: positions (t, v, 3) and angles (t, 21, 3)."""
     turns = np.array([pose.array for pose in motion.poses], np.float32)
-    return {"motion_verts": motion.vertices.reshape(-1, 3), "motion_pose": turns.reshape(-1, 3)}
+    return {"motion_verts": motion.vertices, "motion_pose": turns.reshape(-1, len(BONES), 3)}
 
 
 def _garment(field: Mapping[str, Any], key: str) -> WornGarment:

@@ -344,10 +344,13 @@ class Gait:
     """Drop of the pelvis on the side of the swinging leg."""
     lean: float = 2.0
     """Of the trunk, forward."""
+    cycles: float = 2.0
+    """Length; a cycle is a step of each leg."""
 
 
 GAITS = {
     "walk": Gait(),
+    "walk-cycle": Gait(cycles=1.0),
     "stroll": Gait(cadence=90.0, thigh=16.0, knee=48.0, arm=10.0, turn=3.0),
     "brisk-walk": Gait(cadence=130.0, thigh=26.0, knee=60.0, arm=26.0, elbow=35.0, turn=7.0, lean=5.0),
     "long-steps": Gait(cadence=100.0, thigh=29.0, knee=58.0, arm=24.0, turn=9.0),
@@ -356,14 +359,14 @@ GAITS = {
     "march": Gait(cadence=116.0, thigh=30.0, knee=75.0, arm=38.0, elbow=8.0, turn=2.0, sway=1.0, lean=0.0),
     "high-knees": Gait(cadence=80.0, thigh=34.0, knee=75.0, arm=20.0, elbow=60.0, turn=3.0),
 }
-"""Eight gaits by name."""
+"""Gaits by name."""
 ARM_SPREAD, LEG_SPREAD = -12.0, 5.0  # degrees off the A-pose: hands clear of the hips, thighs of each other
 
 
-def walk(gait: Gait = GAITS["walk"], *, cycles: float = 2.0, fps: float = FPS, name: str = "walk") -> list[Pose]:
-    """The poses of a body that walks on the spot, ``fps`` a second, from standing; a cycle is a step of each leg."""
+def walk(gait: Gait = GAITS["walk"], *, fps: float = FPS, name: str = "walk") -> list[Pose]:
+    """The poses of a body that walks on the spot, ``fps`` a second, from standing."""
     _require_rate(fps)
-    frames = int(cycles * 120.0 / gait.cadence * fps) + 1
+    frames = int(gait.cycles * 120.0 / gait.cadence * fps) + 1
     return [_step(gait, frame * gait.cadence / (120.0 * fps), f"{name}, frame {frame + 1}") for frame in range(frames)]
 
 
@@ -404,7 +407,7 @@ def _pulse(phase: float, at: float, sharpness: float) -> float:
 
 
 def named_motion(name_or_path: str | Path, *, fps: float = FPS, body: Body | None = None) -> list[Pose]:
-    """The poses of a gait of ``GAITS``, two cycles, or of a BVH or AMASS file.
+    """The poses of a gait of ``GAITS``, or of a BVH or AMASS file.
 
     Raises ``BodyError`` for an unknown name, and as ``read_motion`` does.
     """

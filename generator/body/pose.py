@@ -164,12 +164,7 @@ def pose_body(body: Body, pose: Pose) -> Body:
         return body
     if body.posed is not None:
         return replace(body, vertices=stand(body.posed(pose)))
-    joints, turns = rig().carriers @ body.vertices, whole_turns(pose)
-    moved = joints.copy()
-    for number, parent in enumerate(PARENTS):  # parents come first
-        if parent >= 0:
-            moved[number] = moved[parent] + turns[parent] @ (joints[number] - joints[parent])
-    shifts = moved - (turns @ joints[:, :, None])[:, :, 0]
+    turns, shifts = bone_moves(body, pose)
     vertices, rotations = _blended(body.vertices, _same_half_space(Rotation.from_matrix(turns).as_quat()), shifts)
     skin = body_skin()
     normals = _turned(skin_normals(body.vertices, skin.faces), rotations[:, skin.faces[:, 0]])
@@ -177,6 +172,16 @@ def pose_body(body: Body, pose: Pose) -> Body:
     posed = reference.smoothed(vertices, ROUNDS, resolve_creases=True).vertices
     standing = stand(posed)
     return replace(body, vertices=standing, joints=moved + (standing[0] - posed[0]))
+
+
+def bone_moves(body: Body, pose: Pose) -> tuple[Float[np.ndarray, "b 3 3"], Float[np.ndarray, "b 3"]]:
+    """The rotation and the shift [cm] of each of ``BONES`` from a body of the body model, not yet put on the floor."""
+    joints, turns = rig().carriers @ body.vertices, whole_turns(pose)
+    moved = joints.copy()
+    for number, parent in enumerate(PARENTS):  # parents come first
+        if parent >= 0:
+            moved[number] = moved[parent] + turns[parent] @ (joints[number] - joints[parent])
+    return turns, moved - (turns @ joints[:, :, None])[:, :, 0]
 
 
 def whole_turns(pose: Pose) -> Float[np.ndarray, "b 3 3"]:

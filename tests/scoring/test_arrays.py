@@ -1,4 +1,4 @@
-"""Answers that are no patterns: labels of vertices, measures, drapes."""
+"""Answers that are no patterns: labels of vertices, measures, drapes, motions."""
 
 import json
 from collections.abc import Mapping
@@ -14,6 +14,7 @@ from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.measurements import MEASURES
 from gcd_dataset.metrics import VertexLabels
+from gcd_dataset.records import BONES
 from gcd_dataset.scoring.inputs import MESH, TASKS, TaskFolder, vertex_order
 from gcd_dataset.spec import spec_from_pattern, write_pattern
 from gcd_dataset.tensors import EDGE_LABELS
@@ -33,6 +34,9 @@ def item() -> dict[str, Any]:
     arrays |= {"stitches": np.zeros((len(garment().seams), 2), int), "body": np.zeros(len(body_model().components))}
     arrays |= {"scan": np.zeros((5, 6)), "scan_panel_id": np.array([0, 1, -1, -1, 0])}
     measures = dict(zip(MEASURES, TRUE.tolist(), strict=True))
+    turns = np.zeros((3, len(BONES), 3))
+    turns[2, BONES.index("left_thigh"), 0] = 0.5
+    arrays |= {"motion_pose": turns, "motion_verts": np.stack([mesh.vertices + [0, k, 0] for k in range(3)])}
     meta = {"panel_names": list(mesh.panel_names), "pose": {"arm_angle": 0.0, "legs_apart": False}, "index": 0}
     spec = {**spec_from_pattern(garment()), "properties": {}}
     return {
@@ -145,3 +149,28 @@ def test_positions_are_compared_with_the_drape(folder: Path, tmp_path: Path) -> 
         assert failure in found[name]["failure"]
         assert (found[name]["error_cm"], found[name]["stretch_error"]) == (100, 1)
         assert found[name]["self_crossings"] > found["a"]["self_crossings"]
+
+
+@pytest.mark.parametrize("folder", ["T8"], indirect=True)
+def test_positions_are_compared_in_each_frame_but_the_first(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of the first frame, which is given, nothing counts; of a garment without a whole motion nothing is asked."""
+    (answers := tmp_path / "answers").mkdir()
+    with np.load(folder / "inputs" / "a.npz") as given, np.load(folder / "truth" / "a.npz") as truth:
+        first, true = given["first"], truth["vertices"]
+        leg = np.linalg.norm(np.diff(given["body_vertices"], axis=0), axis=2)
+    assert leg.max() > 20
+    assert np.median(leg) < 1  # the wearer lifts a leg
+    (folder / "truth" / "b.npz").unlink()
+    np.savez(answers / "a.npz", vertices=np.concatenate([true[:1] + 50, true[1:]]))
+    np.savez(answers / "c.npz", vertices=np.stack([first, first]))
+    np.savez(answers / "d.npz", vertices=first)
+    found = scored(folder, answers)
+    assert (found["a"]["error_cm"], found["a"]["within_1cm"]) == (0, 1)
+    assert (found["c"]["error_cm"], found["c"]["within_1cm"]) == (pytest.approx(2), 0)
+    assert f"give ({len(true)}, {len(first)}, 3) finite numbers" in found["d"]["failure"]
+    assert (found["d"]["error_cm"], found["d"]["stretch_error"]) == (100, 1)
+    assert found["d"]["self_crossings"] > found["a"]["self_crossings"]
+    assert "b" not in found
+    assert "1 of 4 garments have no NAME.npz, and no score" in capsys.readouterr().err

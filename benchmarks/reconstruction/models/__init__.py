@@ -18,11 +18,11 @@ __all__ = ["MODELS", "load_model"]
 
 NETWORKS = (
     "panel_set", "edge_tokens", "parameters", "picture_parameters", "stitches", "segmentation",
-    "drape_surrogate", "measures", "fit",
+    "drape_surrogate", "measures", "fit", "motion_residual",
 )  # fmt: skip
 BASELINES = (
     "nearest", "typical", "ceiling", "nearest_labels", "box_mesh", "coarse_drape", "solver", "mean_measures",
-    "nearest_measures", "nearest_fit",
+    "nearest_measures", "nearest_fit", "frozen", "skinned",
 )  # fmt: skip
 MODELS = (*NETWORKS, *BASELINES)
 

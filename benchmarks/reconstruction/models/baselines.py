@@ -11,11 +11,12 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from benchmarks.reconstruction.drapes import DrapedVertices, redraped
+from benchmarks.reconstruction.drapes import DrapedVertices, redraped, truth_of
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.judging import numbers_of
 from benchmarks.reconstruction.labelled_surfaces import true_labels
 from benchmarks.reconstruction.models.measures import scans_of
+from benchmarks.reconstruction.motions import skinned_motions
 from benchmarks.reconstruction.panel_net import NetConfig
 from benchmarks.reconstruction.panel_targets import ToTargets, patterns_from
 from benchmarks.reconstruction.picture_model import pictures_of
@@ -121,6 +122,17 @@ def solver(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, worke
     return redraped(unseen, spacing=float(unseen.recipe["recipe"]["resolution"]), device=device)
 
 
+def frozen(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0) -> list[DrapedVertices]:
+    """Each unseen garment as it is in the first frame, while its wearer walks."""
+    true = (truth_of(unseen, k) for k in range(len(unseen)))
+    return [DrapedVertices(np.repeat(places[:1], len(places), axis=0), 0.0) for places in true]
+
+
+def skinned(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0) -> list[DrapedVertices]:
+    """Each vertex of an unseen garment moves as the point of the skin that is nearest to it in the first frame."""
+    return [DrapedVertices(each.cloth.transpose(1, 0, 2), each.ms) for each in skinned_motions(unseen, workers=workers)]
+
+
 BASELINES: Mapping[str, Baseline] = {
     "nearest": Baseline(nearest, PATTERNS),
     "typical": Baseline(typical, (*PATTERNS, "T2")),
@@ -132,6 +144,8 @@ BASELINES: Mapping[str, Baseline] = {
     "box_mesh": Baseline(box_mesh, ("T6",)),
     "coarse_drape": Baseline(coarse_drape, ("T6",)),
     "solver": Baseline(solver, ("T6",)),
+    "frozen": Baseline(frozen, ("T8",)),
+    "skinned": Baseline(skinned, ("T8",)),
 }
 
 

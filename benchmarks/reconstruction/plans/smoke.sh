@@ -25,6 +25,9 @@ $TRAIN --model solver --task T6 --out runs/smoke/T6-solver
 $TRAIN --model fit --task T7 --out runs/smoke/T7-fit
 $TRAIN --model mean_measures --task T7 --out runs/smoke/T7-mean_measures
 $TRAIN --model nearest_fit --task T7 --out runs/smoke/T7-nearest_fit
+$TRAIN --model motion_residual --task T8 --out runs/smoke/T8-motion_residual
+$TRAIN --model frozen --task T8 --train 6 --test 4 --resolution 6 --out runs/smoke/T8-frozen
+$TRAIN --model skinned --task T8 --train 6 --test 4 --resolution 6 --out runs/smoke/T8-skinned
 $TRAIN --model panel_set --task T1 --test-source T1-scan --out runs/smoke/T1-panel_set
 mkdir -p runs/freesewing && tar -xJf benchmarks/data/freesewing.tar.xz -C runs/freesewing
 $TRAIN --model stitches --task T3 --test-source runs/freesewing --out runs/smoke/T3-stitches

@@ -271,8 +271,8 @@ def test_a_drape_moved_by_2_cm_has_an_error_of_2_cm(draped: GarmentSet) -> None:
 def test_crossings_are_counted_on_the_wearer(draped: GarmentSet) -> None:
     one = draped.select([0])
     vertices = true_drapes(one)[0].vertices
-    ((_, few, _),) = counted([vertices], one, device="cpu")
-    ((_, many, through),) = counted([vertices - [8, 0, 8]], one, device="cpu")
+    [[(_, few, _)]] = counted([vertices], one, device="cpu")
+    [[(_, many, through)]] = counted([vertices - [8, 0, 8]], one, device="cpu")
     assert few < 5 < many
     assert through > 5
 

@@ -190,5 +190,5 @@ def test_gaits_alternate_the_legs_and_touch_nothing(body: Body) -> None:
     np.testing.assert_allclose(left[20:40], right[34:54], atol=1e-9)
     feet = [(rig().carriers @ pose_body(body, pose).vertices)[BONES.index("left_foot"), 2] for pose in walked[28:56:7]]
     assert max(feet) - min(feet) > 40.0
-    with pytest.raises(BodyError, match="no motion named lotus: there are walk, stroll"):
+    with pytest.raises(BodyError, match="no motion named lotus: there are walk, walk-cycle, stroll"):
         named_motion("lotus")

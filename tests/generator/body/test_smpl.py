@@ -16,6 +16,7 @@ from gcd_dataset.cli import main
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator import MakeConfig
 from gcd_dataset.generator.body import (
+    GAITS,
     build_body,
     measure,
     named_body,
@@ -186,7 +187,7 @@ def test_it_takes_our_poses_and_gaits(model_file: Path, own: Body) -> None:
         template = 100.0 * file["v_template"]
     t_pose = pose_body(body, named_pose("t-pose")).vertices
     np.testing.assert_allclose(t_pose - t_pose[0], template - template[0], atol=1e-9)
-    pose = walk(cycles=1.0, fps=4.0)[-1]
+    pose = walk(GAITS["walk-cycle"], fps=4.0)[-1]
     assert apart(pose_body(own, pose), pose_body(body, pose)) < 2.0
     np.testing.assert_array_equal(
         Motion.to_pose(body, pose).keys[-1][: len(own.vertices)], np.float32(pose_body(body, pose).vertices)
