@@ -171,7 +171,8 @@ def pose_body(body: Body, pose: Pose) -> Body:
     reference = replace(skin, normals=normals / np.linalg.norm(normals, axis=0))
     posed = reference.smoothed(vertices, ROUNDS, resolve_creases=True).vertices
     standing = stand(posed)
-    return replace(body, vertices=standing, joints=moved + (standing[0] - posed[0]))
+    joints = (turns @ (rig().carriers @ body.vertices)[:, :, None])[:, :, 0] + shifts
+    return replace(body, vertices=standing, joints=joints + (standing[0] - posed[0]))
 
 
 def bone_moves(body: Body, pose: Pose) -> tuple[Float[np.ndarray, "b 3 3"], Float[np.ndarray, "b 3"]]:
