@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import gc
 import multiprocessing
 import os
 import threading
@@ -37,6 +38,7 @@ def begin_worker(worker: int) -> None:
     """
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
     threadpoolctl.threadpool_limits(1)
+    gc.freeze()  # Warp arrays that a forked worker inherits are on a GPU that it cannot free them from
     threading.Thread(target=_exit_with_parent, args=(os.getppid(), _done_event()), daemon=True).start()
 
 

@@ -40,6 +40,7 @@ $TRAIN --model parameters --task T1 --set augmented=1 labelled=1 seen=0 points=8
 
 $TRAIN --model nearest --task T1-scan --train 4000 --drape --out runs/scan-reference
 $TRAIN --model parameters --task T1-scan --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/scan
+$TRAIN --model parameters --task T1-scan --set width=256 heads=4 layers=4 augmented=1 seen=0 --train 12000 --minutes 6 --checks 2 --validate 500 --compile --out runs/scan-12k
 
 $TRAIN --model picture_parameters --task T2 --train 4000 --steps 700 --checks 1 --compile --out runs/families-T2-all
 $TRAIN --model picture_parameters --task T2 --train 4000 --leave-out dress --steps 700 --checks 1 --compile --out runs/families-T2-dress
@@ -52,6 +53,7 @@ $TRAIN --model picture_parameters --task T2 --set augmented=1 --train 4000 --min
 $TRAIN --model picture_parameters --task T2 --set augmented=1 --train 4000 --fresh 20000 --minutes 2 --checks 1 --workers 15 --compile --make-device cuda:1 --drape --out runs/T2-fresh
 $TRAIN --model picture_parameters --task T2 --set augmented=1 --train 8000 --fresh 24000 --minutes 7 --checks 1 --workers 40 --compile --make-device cuda:1 --drape --out runs/T2-long
 $TRAIN --model picture_parameters --task T2 --set views=1 augmented=1 --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/T2-one_view
+$TRAIN --model picture_parameters --task T2 --set width=256 heads=8 layers=4 augmented=1 --train 8000 --minutes 8 --checks 2 --validate 500 --compile --out runs/T2-8k
 $TRAIN --model typical --task T2 --train 4000 --drape --out runs/T2-reference
 
 $TRAIN --model stitches --task T3 --train 24000 --minutes 5.5 --workers 16 --out runs/T3
