@@ -157,7 +157,7 @@ def motion_crossings(
     slots.move(0, Motion.of([job.body, job.body]), ends=False)
     solver = slots.solver
     for body, vertices in zip(bodies, frames, strict=True):
-        slots.move_on(0, Motion.of([job.body, body]), 1.0)
+        slots.move_on(0, Motion.of([body, body], job.body), 1.0)
         solver.moving[0].arrive()
         places = to_host(solver.state.x)
         places[solver.model.vertices[0]] = vertices
