@@ -442,6 +442,9 @@ def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: p
         page = tmp_path / "page.html"
         assert main(["show", str(what), "--html", str(page)]) == 0
         assert page.read_text("utf-8").count("data-panel=") >= 2
+    assert main(["show", str(spec), "--body", "male", "--html", str(tmp_path / "male.html")]) == 0
+    assert main(["show", str(spec), "--html", str(page)]) == 0
+    assert page.read_bytes() != (tmp_path / "male.html").read_bytes()
     capsys.readouterr()
     assert main(["show", str(tmp_path / "data"), "--index", "5", "--png", str(tmp_path / "x.png")]) == 1
     assert "garment 5 of 1" in one_line(capsys.readouterr().err)

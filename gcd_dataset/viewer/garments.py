@@ -31,7 +31,7 @@ from gcd_dataset.shards.index import GRADES
 from gcd_dataset.shards.layout import MAPS
 from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.spec import pattern_name, read_pattern
-from gcd_dataset.viewer.content import Content, body_of, content_of
+from gcd_dataset.viewer.content import Content, Wearer, body_of, content_of
 from gcd_dataset.viewer.maps import map_pictures, require_maps
 from gcd_dataset.viewer.page import page_of
 
@@ -290,8 +290,14 @@ class ShardAlbum(Album):
 class SpecAlbum(Album):
     """Specification files; with ``truth``, each beside the true pattern of the same name."""
 
-    def __init__(self, paths: Sequence[Path], title: str, truth: Mapping[str, Source] | None = None) -> None:
-        self.title, self._paths, self._truth = title, list(paths), truth or {}
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        title: str,
+        truth: Mapping[str, Source] | None = None,
+        wearer: Wearer | None = None,
+    ) -> None:
+        self.title, self._paths, self._truth, self._wearer = title, list(paths), truth or {}, wearer
         self.beside, self.known = ("",) if truth is None else ("predicted", "true"), len(self._paths)
 
     def __len__(self) -> int:
@@ -303,7 +309,7 @@ class SpecAlbum(Album):
     def page(self, position: int, side: int = 0) -> str:
         pattern = self._pattern(position, side)
         try:
-            return page_of(content_of(pattern))
+            return page_of(content_of(pattern, wearer=self._wearer))
         except Exception:  # predictions are shown unchecked; one that cannot be drawn breaks a rule
             require_valid(pattern, source=str(self._paths[position]) if not side else "")
             raise
@@ -410,9 +416,10 @@ def published_content(published: "PublishedGarmentCodeData", position: int) -> C
     return replace(content, tables={**content.tables, "Recipe": recipe})
 
 
-def spec_album(source: Path, truth: Path | ShardReader | None = None) -> SpecAlbum:
+def spec_album(source: Path, truth: Path | ShardReader | None = None, wearer: Wearer | None = None) -> SpecAlbum:
     """A specification file, or all of a folder; ``truth``: the same, or a data set, with true patterns.
 
+    ``wearer``: the body that the panels are placed round, with legs straight or apart, by default the neutral one.
     Raises ``ConfigError`` for a folder without any, and ``SpecError`` for a single file that is invalid.
     """
     paths = list(_by_key(source).values())
@@ -421,11 +428,11 @@ def spec_album(source: Path, truth: Path | ShardReader | None = None) -> SpecAlb
     if source.is_file():
         read_pattern(source)
     if isinstance(truth, ShardReader):
-        return SpecAlbum(paths, str(source), _patterns_of(truth))
+        return SpecAlbum(paths, str(source), _patterns_of(truth), wearer)
     true = None if truth is None else {key: partial(read_pattern, path) for key, path in _by_key(truth).items()}
     if true == {}:
         raise ConfigError(f"--truth {truth}: no specification file (.json): give true ones, or a data set")
-    return SpecAlbum(paths, str(source), true)
+    return SpecAlbum(paths, str(source), true, wearer)
 
 
 def _patterns_of(reader: ShardReader) -> dict[str, Source]:

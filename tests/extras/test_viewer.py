@@ -1,4 +1,4 @@
-"""The viewer in headless Chromium: move, filter, jump, hover, predictions beside truth, and a design by hand."""
+"""The viewer in headless Chromium: move, filter, jump, hover, and predictions beside truth."""
 
 import argparse
 import os
@@ -24,9 +24,8 @@ from gcd_dataset.records import Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.spec import write_pattern
 from gcd_dataset.viewer import garments as album_module
-from gcd_dataset.viewer.design_desk import Desk
 from gcd_dataset.viewer.garments import ShardAlbum, spec_album
-from gcd_dataset.viewer.server import Gallery, ShownDesign, serve
+from gcd_dataset.viewer.server import Gallery, serve
 from tests.hub.server import running_hub
 from tests.release.published import publish
 
@@ -46,7 +45,7 @@ def browser() -> Iterator[Any]:
 
 
 @contextmanager
-def opened(browser: Any, site: Gallery | ShownDesign) -> Iterator[Any]:
+def opened(browser: Any, site: Gallery) -> Iterator[Any]:
     """The site's first page; fails for errors that the browser reports."""
     found: list[Any] = []
     ready = threading.Event()
@@ -375,21 +374,3 @@ def test_predictions_beside_the_truth_light_up_with_their_matches(browser: Any, 
         page.click("#next")
         sync_api.expect(page.frame_locator("iframe.shown").nth(1).locator("h1")).to_have_text("b")
         assert [frame(page, side).evaluate("gcdPage.state.yaw") for side in (0, 1)] == yaws
-
-
-def test_a_slider_redraws_the_pattern_and_a_button_drapes_it(browser: Any) -> None:
-    with opened(browser, ShownDesign(Desk())) as page:
-        sync_api.expect(page.locator("#fine")).to_have_text("Can be sewn and worn.")
-        before = page.inner_html("#pattern")
-        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
-        slider = page.locator("[data-path='flare-skirt.length']")
-        slider.evaluate("(input) => { input.value = 0.6; input.dispatchEvent(new Event('input')); }")
-        page.wait_for_function("(before) => document.getElementById('pattern').innerHTML !== before", arg=before)
-        page.select_option("[data-path='meta.upper']", label="none")
-        page.select_option("[data-path='meta.bottom']", label="none")
-        sync_api.expect(page.locator("#faults")).to_contain_text("choose meta.upper or meta.bottom")
-        page.select_option("[data-path='meta.bottom']", label="Skirt2")
-        page.select_option("[data-path='meta.wb']", label="StraightWB")
-        page.wait_for_selector("#pattern svg")
-        page.click("#drape")
-        sync_api.expect(page.frame_locator("#garment").locator("h1")).to_have_text("Design", timeout=120_000)

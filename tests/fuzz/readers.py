@@ -32,7 +32,7 @@ from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
-from gcd_dataset.jsonfile import JsonPath, parse_json, read_toml
+from gcd_dataset.jsonfile import read_toml
 from gcd_dataset.loaders import (
     BodyDataset,
     GarmentDataset,
@@ -46,9 +46,8 @@ from gcd_dataset.shards.codec import decode_field, decode_fields, decode_sample,
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import FIELDS, fields_of, member_of
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
-from gcd_dataset.viewer.design_desk import Desk, controls
 from gcd_dataset.viewer.garments import spec_album
-from gcd_dataset.viewer.server import Gallery, ShownDesign
+from gcd_dataset.viewer.server import Gallery
 from tests.release.published import pack
 
 
@@ -288,19 +287,6 @@ def _design(folder: Path) -> Reader:
     return _file(path, yaml.safe_dump({"design": garments()[0].design}).encode(), lambda: str(read_design(path)))
 
 
-def _drawing(_: Path) -> Reader:
-    """The parameters and measures that the design page sends."""
-    values = {f"{one.path}": one.value for one in controls() if one.section in ("meta", "skirt", "sleeve")}
-    measures = dict(list(garments()[0].measurements.to_file_values().items())[:4])
-    page = ShownDesign(Desk())
-
-    def read(data: bytes) -> Any:
-        given = JsonPath("request").mapping(parse_json(data, source="request"), "")
-        return page.post("/draw", given)[0]
-
-    return Reader(json.dumps({"values": values, "measures": measures}).encode(), read, protected=False)
-
-
 def _query(folder: Path) -> Reader:
     """The address of a request to the gallery."""
     write_pattern(garments()[0].pattern, folder / "a.json")
@@ -412,7 +398,6 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "landmarks": _landmarks,
     "specification-mesh": _mesh,
     "design": _design,
-    "viewer-design": _drawing,
     "viewer-query": _query,
 }
 """Name to a function that makes the reader, with its files in a given folder."""
