@@ -161,7 +161,7 @@ def _chosen(options: argparse.Namespace, album: "Album") -> list[int]:
         where = Filter(**dict(condition.split("=", 1) for condition in options.where))
     except (TypeError, ValueError) as error:
         raise ConfigError(f"--where {' '.join(options.where)}: write kind=, grade= or outcome=VALUE") from error
-    while (where.kind or where.outcome) and album.known < len(album) and not album.problem:
+    if where.kind or where.outcome:
         album.read_tags()
     chosen: list[int] = album.matches(where).tolist()
     if options.index is not None:

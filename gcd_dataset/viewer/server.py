@@ -60,7 +60,7 @@ class Gallery:
         self._begin(album.nearest(start))  # while the browser opens
 
     def get(self, path: str, query: Mapping[str, str]) -> Answer:
-        """The answer to ``GET path?query``; ``/more`` reads more tags. Raises ``GcdError`` for what does not exist.
+        """The answer to ``GET path?query``. Raises ``GcdError`` for what does not exist.
 
         A garment that cannot be shown is answered by a page with the message.
         """
@@ -68,9 +68,6 @@ class Gallery:
             given = {"start": self._start, "count": len(self._album), "beside": self._album.beside}
             return _html("browse.html", self._album.title, given)
         if path == "/facets":
-            return _json(self._facets())
-        if path == "/more":
-            self._read_tags()
             return _json(self._facets())
         if path == "/find":
             return _json(self._found(query))
@@ -106,8 +103,7 @@ class Gallery:
     def _facets(self) -> dict[str, Any]:
         album = self._album
         is_reading = self._reading is None or not self._reading.done()
-        progress = {"known": album.known, "count": len(album), "reading": is_reading, "waits": album.waits}
-        return asdict(album.facets()) | progress | {"problem": album.problem}
+        return asdict(album.facets()) | {"known": album.known, "count": len(album), "reading": is_reading}
 
     def _read_tags(self) -> None:
         """Begin to read tags, unless a thread reads them."""
