@@ -54,8 +54,6 @@ from gcd_dataset.shards.meta import checked_meta, decode_json, is_count, json_by
 from gcd_dataset.shards.tar import BLOCK, END, padded, samples_in
 
 REJECTS = "rejects.jsonl"
-EARLIER = ".earlier"
-"""Folder of the shards of a smaller data set, whose samples are copied while it grows."""
 SHARD = re.compile(r"(.+)-(\d{5}|[1-9]\d{5,8})\.tar")
 OLD = re.compile(r"index-.+\.npz")  # written before schema 3
 KEY = re.compile(r"gcd_\d{9,18}")
