@@ -10,7 +10,6 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -93,17 +92,6 @@ def test_captions_are_written_on_request_and_printed(tmp_path: Path, capsys: pyt
     assert caption in capsys.readouterr().out
     assert main(flat) == 2
     assert "made with captions=True, asked for captions=None" in capsys.readouterr().err
-
-
-def test_a_second_sigterm_is_ignored_and_handlers_are_restored() -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(Stopped) as caught, interrupts_after_imports():
-        try:
-            os.kill(os.getpid(), signal.SIGTERM)
-        finally:
-            os.kill(os.getpid(), signal.SIGTERM)
-    assert caught.value.exit_code == 143
-    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_a_signal_leaves_no_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -343,27 +331,6 @@ def test_drape_cuts_a_design_for_a_size_and_tells_how_it_fits(
     assert "on this body, too_tight: a top edge of 62.0 cm" in said.err
     assert main(["drape", str(skirt), "--sizes", "men", *options, "--out", str(tmp_path / "out")]) == 2
     assert "--sizes needs the size to cut: give --cut-for SIZE" in one_line(capsys.readouterr().err)
-
-
-def test_fit_reads_the_mesh_of_a_body_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """For trousers too, whose bodies of the shape space stand with their legs apart."""
-    (tmp_path / "shorts.yaml").write_text("meta: {bottom: Pants}\npants: {length: 0.2}\n")
-    reads, worn = [], []
-
-    def read(*given: Any, **options: Any) -> Any:
-        reads.append(given)
-        return named_body("male")[:2]
-
-    def draped(patterns: Any, wearer: Any, **options: Any) -> Iterator[Any]:
-        worn.extend([wearer(False), wearer(True)])
-        return iter(())
-
-    monkeypatch.setattr("gcd_dataset.generator.body.by_name.read_body", read)
-    monkeypatch.setattr("gcd_dataset.generator.fitting.drape_patterns", draped)
-    (tmp_path / "scan.obj").touch()
-    words = ["fit", tmp_path / "shorts.yaml", "--body", tmp_path / "scan.obj", "--out", tmp_path / "out", "--quiet"]
-    assert main(list(map(str, words))) == 0
-    assert len(reads) == 1 and worn[0] == worn[1]
 
 
 def test_a_garment_that_slides_off_ends_with_1(

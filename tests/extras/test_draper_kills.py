@@ -21,7 +21,7 @@ from torch.utils.data import DataLoader
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import DraperAddress, SharedDraper
-from gcd_dataset.generator.drapers.address import _create, socket_file
+from gcd_dataset.generator.drapers.address import socket_file
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import FakeGarments, FreshGarments, collate_list
@@ -139,16 +139,6 @@ def test_a_draper_killed_under_workers_is_one_error(address: DraperAddress, monk
     with pytest.raises(DrapeError, match="drapes on cpu has ended"):
         given.extend(made)
     assert [sample.key for sample in given] == [key_of(index) for index in range(len(given))]
-
-
-def test_workers_are_distributed_over_the_draping_processes(address: DraperAddress) -> None:
-    ds = Apart(COUNT, address)
-    addresses = (address, _create("cpu"))
-    ds._addresses = addresses
-    assert_all_same(FreshGarments(ds, room=1, workers=2), items())
-    assert [len(drapers(each)) for each in addresses] == [1, 1]
-    (addresses[1].folder / "owner").unlink()
-    kill_drapers(addresses[1])
 
 
 def test_a_failing_draper_reports_the_error_and_is_replaced(

@@ -12,13 +12,9 @@ import torch
 from torch import nn
 from torch.utils.data import DataLoader, Dataset
 
-from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.files import user_path
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
-from gcd_dataset.hub.remote import Remote
-from gcd_dataset.hub.source import Folder, parse_source
 from gcd_dataset.loaders import (
     Augmented,
     BodyDataset,
@@ -27,7 +23,6 @@ from gcd_dataset.loaders import (
     FreshGarments,
     GarmentDataset,
     GarmentFields,
-    GarmentLoader,
     Garments,
     GeneratedGarments,
     Hdf5Garments,
@@ -46,7 +41,6 @@ from gcd_dataset.shards.hdf5 import write_hdf5
 from tests.loaders.test_shards import assert_all_same, same
 from tests.release.published import publish as published
 from tests.release.published import publish_people
-from tests.shards.folders import fill
 from tests.shards.people import MESH, fake_person
 from tests.shards.people import fill as people_in_shards
 
@@ -247,16 +241,6 @@ def test_values_that_are_no_index_are_refused(sets: dict[str, Path]) -> None:
         ds[np.eye(2, dtype=int)]
 
 
-def test_the_error_about_a_mask_names_an_expression_that_selects_its_true_entries(sets: dict[str, Path]) -> None:
-    ds = GarmentDataset(sets["pattern"], fields=["meta"])
-    wanted = [position for position in range(COUNT) if position % 2]
-    for mask in (np.arange(COUNT) % 2 == 1, torch.arange(COUNT) % 2 == 1):
-        with pytest.raises(ConfigError, match="give whole numbers in one row, such as mask") as caught:
-            ds[mask]
-        expression = str(caught.value).rpartition("such as ")[2]
-        assert_all_same(ds[eval(expression, {"mask": mask})], [ds[position] for position in wanted])
-
-
 @pytest.mark.parametrize("way", ["folder", "hdf5"])
 def test_garments_are_found_by_key(sets: dict[str, Path], way: str) -> None:
     for ds in wrapped(opened(sets, "pattern")[way](fields=["meta"])):
@@ -343,18 +327,6 @@ def test_a_transform_that_needs_a_random_stream_is_refused_at_once(few: Path, tr
             make(1, transform=transform)
 
 
-def test_functions_are_accepted_by_the_arguments_that_they_can_take() -> None:
-    given: list[Any] = [dict, nn.Identity(), PickCaption("short"), lambda item, rng=None: item, partial(max, key=len)]
-    for function in given:
-        assert FakeGarments(1, transform=function).transform is function
-    with pytest.raises(ConfigError, match=r"augment=.* with \(item, rng\): give a function of item, rng"):
-        Augmented(FakeGarments(1), lambda item: item)  # type: ignore[misc, arg-type]
-    with pytest.raises(ConfigError, match=r"collate_fn=.*\(items\)"):
-        GarmentLoader(FakeGarments(1), 1, collate_fn=lambda: None)  # type: ignore[misc, arg-type]
-    with pytest.raises(ConfigError, match="whole is a str: give GarmentDataset"):
-        Augmented("folder", Yaw())  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("indices", [lambda item: True, "gcd_000000003", 1, 1.5, None, slice(2), torch.tensor(1), {}])
 def test_select_takes_several_indices(indices: Any) -> None:
     with pytest.raises(ConfigError, match=r"select\(.*give indices or keys in a list, .* select by a condition with"):
@@ -412,27 +384,6 @@ def test_a_design_overlay_may_be_a_dict() -> None:
 # ----------------------------------------------------------------------------------------------------------------- repr
 
 
-def test_repr_is_one_line(sets: dict[str, Path], tmp_path: Path) -> None:
-    ds = GarmentDataset(sets["pattern"], fields=["panels", "edges"])
-    assert repr(ds) == f"GarmentDataset(train of {sets['pattern']}, 4 garments: panels, edges)"
-    stream = GarmentDataset(fill(tmp_path, range(2)), fields=["verts"], streaming=True)
-    everything = [
-        stream,
-        *wrapped(GeneratedGarments(COUNT, fields=["panels"])),
-        Hdf5Garments(sets["mesh"] / "train.h5", fields=["box"]),
-        MixedDataset([ds, ds], [3, 1]),
-        FreshGarments(ds, replay=2),
-        GarmentLoader(ds, 2),
-        collate_packed([ds[0]]),
-        collate_padded([ds[0]]),
-    ]
-    for thing in everything:
-        text = repr(thing)
-        assert "\n" not in text
-        assert "garments" in text
-        assert len(text) < 300
-
-
 def test_a_number_beyond_float32_is_refused() -> None:
     large = np.array([1.0, 1e300])
     with pytest.raises(ShardError, match="dtype=None keeps the stored type"):
@@ -468,24 +419,3 @@ def test_a_tilde_is_the_home_folder(
         published(tmp_path / "release")
     assert len(OPENED[opener]())
     assert not Path("~").exists()
-
-
-def test_caches_and_names_with_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path))
-    assert user_path("~nobody-is-called-so/data") == Path("~nobody-is-called-so/data")
-    assert user_path("data~") == Path("data~")
-    assert Remote(cache_dir="~/cache").folder == tmp_path / "cache"
-    kept = GeneratedGarments(1, drape=None, cache_dir="~/garments").cache
-    assert kept is not None
-    assert kept.parent == tmp_path / "garments"
-    (tmp_path / "data").mkdir()
-    assert parse_source("~/data") == Folder(tmp_path / "data")
-
-
-def test_commands_know_the_home_folder(sets: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path))
-    (tmp_path / "data").symlink_to(sets["mesh"])
-    assert len(ShardReader("~/data")) == COUNT
-    assert main(["info", "~/data"]) == 0
-    assert main(["export", "~/data", "--hdf5=~/train.h5", "--quiet"]) == 0
-    assert (tmp_path / "train.h5").exists()

@@ -3,7 +3,6 @@
 import json
 import pickle
 import shutil
-import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, PatternError, ShardError
-from gcd_dataset.loaders import GarmentDataset, GarmentLoader, PublishedGarmentCodeData, collate_list
-from gcd_dataset.loaders.base import Item
+from gcd_dataset.loaders import GarmentDataset, PublishedGarmentCodeData, collate_list
 from gcd_dataset.records import MEASURES
 from gcd_dataset.release.batches import Facts, PublishedBatches
 from gcd_dataset.release.published_names import ENDINGS, properties_name
@@ -361,24 +359,3 @@ def test_files_of_the_reference_system_survive_a_round_trip(examples: Path, tmp_
 def _pickled_lengths(content: bytes) -> dict[tuple[int, int], float]:
     """Edge pair to length. Unpickles only trusted files: made for these tests by the reference system, or by us."""
     return {(int(a), int(b)): float(length) for (a, b), length in pickle.loads(content).items()}
-
-
-def test_garments_are_read_in_a_thread(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The training thread transforms them: a transform may draw from the model's random stream."""
-    readers, changers = set[int](), set[int]()
-    members = PublishedGarmentCodeData._members
-
-    def recorded(ds: PublishedGarmentCodeData, *asked: Any) -> Any:
-        readers.add(threading.get_ident())
-        return members(ds, *asked)
-
-    def changed(item: Item) -> Item:
-        changers.add(threading.get_ident())
-        return item
-
-    monkeypatch.setattr(PublishedGarmentCodeData, "_members", recorded)
-    ds = PublishedGarmentCodeData(folders, fields=["verts"], transform=changed)
-    assert sum(len(batch.verts_ptr) - 1 for batch in GarmentLoader(ds, 3)) == len(ds)
-    assert readers
-    assert threading.get_ident() not in readers
-    assert changers == {threading.get_ident()}

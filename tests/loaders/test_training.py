@@ -6,7 +6,6 @@ import pickle
 import random
 from collections import Counter
 from collections.abc import Callable
-from itertools import product
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import ChainDataset, DataLoader, Dataset, DistributedSampler, Subset
+from torch.utils.data import DataLoader, Dataset, DistributedSampler, Subset
 
 from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.loaders import (
@@ -223,25 +222,6 @@ def test_the_rank_is_looked_up_at_each_pass(folder: Path, ranks: Callable) -> No
     assert sorted(every(fixed)) == list(range(N))
 
 
-def test_an_invalid_rank_environment_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2)
-    for rank, world_size in (("2", "2"), ("", "2"), ("-1", "2"), ("x", "y")):
-        monkeypatch.setenv("RANK", rank)
-        monkeypatch.setenv("WORLD_SIZE", world_size)
-        with pytest.raises(ConfigError, match=f"the environment has RANK='{rank}' and WORLD_SIZE='{world_size}'"):
-            next(iter(loader))
-    monkeypatch.setenv("RANK", "0")
-    monkeypatch.setenv("WORLD_SIZE", "13")
-    with pytest.raises(ConfigError, match="12 garments for 13 ranks: give pad='repeat', or fewer ranks"):
-        next(iter(loader))
-    monkeypatch.setenv("WORLD_SIZE", "7")
-    whole = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 1, drop_last=True)
-    assert len(whole) == 1
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    with pytest.raises(ConfigError, match="no rank has 7 of 12 garments: leave out drop_last"):
-        GarmentLoader(GarmentDataset(folder, fields=["meta"]), 7, drop_last=True)
-
-
 def gloo(rank: int, place: Path, folder: Path, tell: Connection) -> None:
     """A rank that builds its loaders before it joins the process group."""
     for name in ("RANK", "WORLD_SIZE"):
@@ -376,12 +356,6 @@ def test_the_error_for_an_invalid_state_is_one_line(folder: Path, entry: dict[st
             loader.load_state_dict(nothing)
 
 
-def test_integers_of_any_type_are_valid_in_a_state(folder: Path) -> None:
-    loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2, seed=2**70)
-    loader.load_state_dict({**loader.state_dict(), "position": np.int64(4), "length": torch.tensor(N)})
-    assert len(every(loader)) == N - 4
-
-
 # -------------------------------------------------------------------------------------------------------------- streams
 
 
@@ -400,37 +374,6 @@ def test_ranks_and_workers_split_a_stream_evenly(
         assert sorted(seen) == list(range(N))
         assert max(counts) - min(counts) <= 1
         assert workers or seen == list(range(N))
-
-
-@pytest.mark.parametrize(("world_size", "workers", "size"), [(1, 0, 5), (2, 2, 5), (1, 4, 12), (1, 3, None)])
-def test_the_workers_of_a_stream_make_as_many_batches_as_one_process(
-    three: Path, ranks: Callable, world_size: int, workers: int, size: int | None
-) -> None:
-    """``drop_last`` leaves out less than one batch, not one for each worker, and ``len`` is exact on every rank."""
-    stream = GarmentDataset(three, fields=["meta"], streaming=True)
-    for rank, drop_last in product(range(world_size), [False, True] if size else [False]):
-        ranks(rank, world_size)
-        own = len(list(stream))
-        loader = DataLoader(stream, size, num_workers=workers, drop_last=drop_last, collate_fn=collate_list)
-        lengths = [len(batch) for batch in loader] if size else [1 for _ in loader]
-        whole, rest = divmod(own, size or 1)
-        expected = whole * [size or 1] + [rest] * (rest > 0 and not drop_last)
-        assert len(loader) == len(lengths)
-        assert sorted(lengths, reverse=True) == expected
-    chained = DataLoader(
-        ChainDataset([stream, stream]), 5, num_workers=workers, drop_last=True, collate_fn=collate_list
-    )
-    assert len(list(chained)) == len(chained) == 2 * own // 5
-    assert (len(stream), len(GarmentLoader(stream, 2, rank=0, world_size=1))) == (N, N // 2)
-
-
-def test_ranks_and_workers_split_slices_evenly(three: Path, ranks: Callable) -> None:
-    stream = GarmentDataset(three, "train[1:4]+train[9:11]+train[-1:]", fields=["meta"], streaming=True)
-    seen = []
-    for rank in range(4):
-        ranks(rank, 4)
-        seen.append([item["meta"]["index"] for item in stream])
-    assert seen == [[1], [2, 3], [9], [10, 11]]
 
 
 # ----------------------------------------------------------------------------------------------------------- transforms
@@ -457,9 +400,3 @@ def test_an_error_of_a_transform_names_the_garment(folder: Path, streaming: bool
         assert isinstance(raised.value.__cause__, ZeroDivisionError)
     with pytest.raises(TransformError, match=message):
         list(DataLoader(ds, 3, num_workers=1, collate_fn=collate_list))
-
-
-def test_an_error_of_an_augment_names_the_garment(folder: Path) -> None:
-    ds = Augmented(GarmentDataset(folder, fields=["meta"])[2:], lambda item, chance: fails_at_7(item))
-    with pytest.raises(TransformError, match=r"gcd_000000007, number 5 of Augmented\(.*\): ZeroDivisionError"):
-        list(GarmentLoader(ds, 3))

@@ -6,20 +6,15 @@ import shutil
 import struct
 import zlib
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import PublishedGarmentCodeData
 from gcd_dataset.release.published_names import properties_name
-from gcd_dataset.release.read_garment import _stretch
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, publish
-
-VERTEX = 28  # bytes of a vertex of a ply file
 
 
 @pytest.fixture(scope="module")
@@ -155,15 +150,3 @@ def test_the_nearest_split_and_bodies_are_suggested(folders: Path) -> None:
         PublishedGarmentCodeData(folders, "trian")
     with pytest.raises(ConfigError, match=r"bodies='defualt': choose from .*: did you mean default\?"):
         PublishedGarmentCodeData(folders, bodies="defualt")
-
-
-def test_an_edge_of_zero_flat_length_has_no_stretch(folders: Path) -> None:
-    sample = PublishedGarmentCodeData(folders, bodies="default").sample(0)
-    assert sample.box_mesh is not None
-    assert sample.drape is not None
-    flat = sample.box_mesh.uv.copy()
-    first, second, _ = sample.box_mesh.corners[0]
-    flat[second] = flat[first]
-    stretch = _stretch(replace(sample.box_mesh, uv=flat), sample.drape.vertices.astype(float))
-    assert len(stretch)
-    assert np.isfinite(stretch).all()

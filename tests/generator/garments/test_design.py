@@ -1,6 +1,5 @@
 """Design spaces, overlays that narrow them, and design files."""
 
-import inspect
 import json
 import pickle
 import pydoc
@@ -73,26 +72,6 @@ def test_help_names_every_parameter_with_its_meaning() -> None:
             assert f"{path.removeprefix('pants.')}: " in shown
             assert text in shown
     assert "cuff.cuff_len: a number from 0.05 to 0.9; default 0.1 with probability 0.3. Length, as a frac" in shown
-
-
-def test_a_design_without_source_file_is_described_without_meanings() -> None:
-    found: dict[str, Any] = {"real": real, "Design": Design}
-    exec("class BandDesign(Design):\n    depth: float = real(2.0, 1.0, 5.0)", found)
-    kind = dataclass(frozen=True)(found["BandDesign"])
-    assert kind.__doc__ == "BandDesign\n\ndepth: a number from 1 to 5; default 2.0."
-
-
-def test_declaring_a_design_reads_no_source(monkeypatch: pytest.MonkeyPatch) -> None:
-    def read(owner: type) -> str:
-        raise AssertionError(owner)
-
-    monkeypatch.setattr(inspect, "getsource", read)
-
-    @dataclass(frozen=True)
-    class SashDesign(Design):
-        width: float = real(2.0, 1.0, 5.0)
-
-    assert SashDesign().width == 2.0
 
 
 def many(count: int = 2000) -> list[HemDesign]:
