@@ -19,43 +19,11 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.measurements import ANGLES, MEASURES, Measurements
 
 __all__ = [
-    "ANGLES",
-    "MEASURES",
-    "Body",
-    "BodyPart",
-    "BodyShape",
-    "BoxMesh",
-    "Closure",
-    "Drape",
-    "Ease",
-    "Edge",
-    "EdgeRef",
-    "EdgeRole",
-    "Fit",
-    "FitLabel",
-    "Grade",
-    "InnerLine",
-    "Layer",
-    "LineRole",
-    "Maps",
-    "Measurements",
-    "NamedFabric",
-    "Outcome",
-    "Outfit",
-    "Panel",
-    "PanelRole",
-    "Pattern",
-    "Placement",
-    "Provenance",
-    "Record",
-    "Rejected",
-    "Sample",
-    "Seam",
-    "StoredView",
-    "Strain",
-    "WornGarment",
-    "role_of",
-]
+    "ANGLES", "MEASURES", "Body", "BodyPart", "BodyShape", "BoxMesh", "Closure", "Drape", "Ease", "Edge", "EdgeRef",
+    "EdgeRole", "Fit", "FitLabel", "Grade", "InnerLine", "Layer", "LineRole", "Maps", "Measurements", "NamedFabric",
+    "Outcome", "Outfit", "Panel", "PanelRole", "Pattern", "Placement", "Provenance", "Record", "Rejected", "Sample",
+    "Seam", "StoredView", "Strain", "WornGarment", "role_of",
+]  # fmt: skip
 
 
 class Record:

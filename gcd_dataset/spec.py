@@ -50,16 +50,9 @@ from gcd_dataset.records import (
 )
 
 __all__ = [
-    "is_bodice",
-    "is_trouser_leg",
-    "panel_order",
-    "pattern_from_spec",
-    "pattern_name",
-    "read_pattern",
-    "role_by_name",
-    "spec_from_pattern",
-    "write_pattern",
-]
+    "is_bodice", "is_trouser_leg", "panel_order", "pattern_from_spec", "pattern_name", "read_pattern", "role_by_name",
+    "spec_from_pattern", "write_pattern",
+]  # fmt: skip
 
 UNITS_IN_METER = 100  # files are written in centimetres
 NEIGHBOURS = 10.0  # cm: panels this close in x form a column of the panel order, in y a row

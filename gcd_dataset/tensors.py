@@ -56,22 +56,10 @@ from gcd_dataset.records import (
 )
 
 __all__ = [
-    "CLOSURES",
-    "EDGE_LABELS",
-    "LINE_ROLES",
-    "PANEL_LABELS",
-    "ClosureColumn",
-    "CurveKind",
-    "EdgeColumn",
-    "LineColumn",
-    "PanelColumn",
-    "PatternTensor",
-    "StitchColumn",
-    "area_centroid",
-    "decode_pattern",
-    "encode_pattern",
+    "CLOSURES", "EDGE_LABELS", "LINE_ROLES", "PANEL_LABELS", "ClosureColumn", "CurveKind", "EdgeColumn", "LineColumn",
+    "PanelColumn", "PatternTensor", "StitchColumn", "area_centroid", "decode_pattern", "encode_pattern",
     "require_closed",
-]
+]  # fmt: skip
 
 PANEL_LABELS = ("", *(role.value for role in PanelRole))
 """Panel labels with the same number in every tensor; further labels are numbered after them."""

@@ -34,27 +34,8 @@ from gcd_dataset.metrics.seams import SewnPiece, seam_lengths_score, sewn_pieces
 from gcd_dataset.metrics.shapes import PanelShape, resample_loop
 
 __all__ = [
-    "DrapeScore",
-    "MeasureScore",
-    "PanelPair",
-    "PanelShape",
-    "PatternScore",
-    "SewnPiece",
-    "TrueLabels",
-    "VertexLabels",
-    "VertexScore",
-    "assigned",
-    "bootstrap_means",
-    "failed_score",
-    "match_panels",
-    "matched_edges",
-    "mean_scores",
-    "resample_loop",
-    "score_drape",
-    "score_labels",
-    "score_measures",
-    "score_pattern",
-    "seam_lengths_score",
-    "sewn_pieces",
-    "true_labels",
-]
+    "DrapeScore", "MeasureScore", "PanelPair", "PanelShape", "PatternScore", "SewnPiece", "TrueLabels", "VertexLabels",
+    "VertexScore", "assigned", "bootstrap_means", "failed_score", "match_panels", "matched_edges", "mean_scores",
+    "resample_loop", "score_drape", "score_labels", "score_measures", "score_pattern", "seam_lengths_score",
+    "sewn_pieces", "true_labels",
+]  # fmt: skip
