@@ -322,9 +322,7 @@ def _small_panels(
 
 
 def _crossings(
-    panels: Sequence[Panel],
-    hulls: Mapping[int, Complex[np.ndarray, "e 4"]],
-    lengths: Mapping[int, list[float]],
+    panels: Sequence[Panel], hulls: Mapping[int, Complex[np.ndarray, "e 4"]], lengths: Mapping[int, list[float]]
 ) -> Iterator[tuple[int, Fault]]:
     """Panel number and fault for edges that meet themselves or another edge outside a shared corner."""
     numbers = list(hulls)

@@ -286,10 +286,7 @@ def _work(
 
 
 def _prepared(
-    pattern: Pattern | Refusal,
-    wearer: Callable[[bool], tuple[Body, Measurements]],
-    fabric: Fabric,
-    resolution: float,
+    pattern: Pattern | Refusal, wearer: Callable[[bool], tuple[Body, Measurements]], fabric: Fabric, resolution: float
 ) -> tuple[Dressing, DrapeJob, float] | Refusal:
     """The pattern as placed, its drape job, and the time to mesh it [s]."""
     if isinstance(pattern, Refusal):

@@ -163,9 +163,7 @@ def write_cut_outs(
         write_whole(folder / f"{number}.json", json.dumps(camera).encode())
 
 
-def _read(
-    path: Path,
-) -> tuple[UInt8[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"], Camera]:
+def _read(path: Path) -> tuple[UInt8[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"], Camera]:
     try:
         with open_regular(path) as file, Image.open(file) as image:
             whole = image.convert("RGBA")

@@ -190,11 +190,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_stopped_export_goes_on_to_the_same_bytes(
-    converted: Path,
-    exported: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    converted: Path, exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     export = ["export", converted, "--layout", "published", tmp_path / "pieces", "--quiet"]
     with monkeypatch.context() as full:

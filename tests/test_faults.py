@@ -168,9 +168,7 @@ BROKEN: dict[Rule, tuple[Callable[[], Pattern], str, int | None, str]] = {
     ),
     Rule.SEWN_CROSSWISE: (
         lambda: Pattern(
-            "p",
-            (hung("front", 2.0), hung("back", -2.0)),
-            (Seam(EdgeRef("front", 1), EdgeRef("back", 1)),),
+            "p", (hung("front", 2.0), hung("back", -2.0)), (Seam(EdgeRef("front", 1), EdgeRef("back", 1)),)
         ),
         "front",
         1,

@@ -10,14 +10,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic, mirrored
-from gcd_dataset.metrics import (
-    PatternScore,
-    bootstrap_means,
-    failed_score,
-    mean_scores,
-    resample_loop,
-    score_pattern,
-)
+from gcd_dataset.metrics import PatternScore, bootstrap_means, failed_score, mean_scores, resample_loop, score_pattern
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import euler_angles, read_pattern
 

@@ -322,9 +322,7 @@ BROKEN: dict[tuple[str | int, ...], list[tuple[Any, str]]] = {
         (["20", 0], 'panel front: vertex 1 must be 2 numbers, found ["20", 0]'),
         ([10**400, 0], "panel front: vertex 1 must be 2 numbers of at most 1e+12, found [1000000"),
     ],
-    ("front", "translation"): [
-        ([0, 0], "panel front: translation must be 3 numbers"),
-    ],
+    ("front", "translation"): [([0, 0], "panel front: translation must be 3 numbers")],
     ("front", "edges", 0, "endpoints"): [
         ([0, 10**400], "panel front, edge 0: endpoint must be a whole number of at most 1e+12, found 1000000")
     ],

@@ -228,10 +228,7 @@ def test_broken_patterns_are_named() -> None:
     open_loop = replace(panel, edges=panel.edges[:3])
     for pattern, message in (
         (Pattern("p", (open_loop,), ()), "panel square, edge 0: does not start where the edge before ends"),
-        (
-            Pattern("p", (panel,), (Seam(EdgeRef("square", 0), EdgeRef("square", 9)),)),
-            "square has no edge 9",
-        ),
+        (Pattern("p", (panel,), (Seam(EdgeRef("square", 0), EdgeRef("square", 9)),)), "square has no edge 9"),
         (
             Pattern("p", (panel,), (Seam(EdgeRef("square", 0), EdgeRef("square", 1), closure="velcro"),)),
             "seam 0: closure velcro: give one of sewn, open, zip, buttons",

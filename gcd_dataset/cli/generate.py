@@ -7,14 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli import datasets
-from gcd_dataset.cli.common import (
-    Bar,
-    Parser,
-    add_quiet,
-    add_verb,
-    natural_number,
-    process_count,
-)
+from gcd_dataset.cli.common import Bar, Parser, add_quiet, add_verb, natural_number, process_count
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.options import add_options, given_options, options_of, read_options
 

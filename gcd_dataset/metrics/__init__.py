@@ -23,13 +23,7 @@ from gcd_dataset.metrics.answers import (
     true_labels,
 )
 from gcd_dataset.metrics.matching import PanelPair, match_panels, matched_edges
-from gcd_dataset.metrics.scores import (
-    PatternScore,
-    bootstrap_means,
-    failed_score,
-    mean_scores,
-    score_pattern,
-)
+from gcd_dataset.metrics.scores import PatternScore, bootstrap_means, failed_score, mean_scores, score_pattern
 from gcd_dataset.metrics.seams import SewnPiece, seam_lengths_score, sewn_pieces
 from gcd_dataset.metrics.shapes import PanelShape, resample_loop
 

@@ -13,14 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
 
-from gcd_dataset.errors import (
-    BodyError,
-    ConfigError,
-    GcdError,
-    PatternError,
-    ShardError,
-    shown,
-)
+from gcd_dataset.errors import BodyError, ConfigError, GcdError, PatternError, ShardError, shown
 from gcd_dataset.faults import require_valid
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern, picture_of
 from gcd_dataset.outfits import joined
@@ -264,11 +257,7 @@ class SpecAlbum(Album):
     """Specification files; with ``truth``, each beside the true pattern of the same name."""
 
     def __init__(
-        self,
-        paths: Sequence[Path],
-        title: str,
-        truth: Mapping[str, Source] | None = None,
-        wearer: Wearer | None = None,
+        self, paths: Sequence[Path], title: str, truth: Mapping[str, Source] | None = None, wearer: Wearer | None = None
     ) -> None:
         self.title, self._paths, self._truth, self._wearer = title, list(paths), truth or {}, wearer
         self.beside, self.known = ("",) if truth is None else ("predicted", "true"), len(self._paths)

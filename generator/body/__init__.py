@@ -11,12 +11,7 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.body.mesh_bodies import read_body
     from gcd_dataset.generator.body.motion import GAITS, Gait, named_motion, read_motion, walk
     from gcd_dataset.generator.body.pose import named_pose, pose_body
-    from gcd_dataset.generator.body.shape import (
-        build_body,
-        draw_shape,
-        named_shape,
-        neutral_shape,
-    )
+    from gcd_dataset.generator.body.shape import build_body, draw_shape, named_shape, neutral_shape
     from gcd_dataset.generator.body.shape_fit import FittedShape, fit_shape
 
 __all__ = [

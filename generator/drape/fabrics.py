@@ -230,15 +230,7 @@ def fabric_named(name: str) -> Fabric:
 
 
 RANDOM_FABRIC = "random"
-MEASURED = (
-    "denim",
-    "drill",
-    "polyester_woven",
-    "polyester_light",
-    "interlock",
-    "ponte_roma",
-    "wool_light",
-)
+MEASURED = ("denim", "drill", "polyester_woven", "polyester_light", "interlock", "ponte_roma", "wool_light")
 """Fabrics between which ``draw_fabric`` draws. Adding a fabric changes the samples of every seed."""
 
 

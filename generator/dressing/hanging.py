@@ -29,11 +29,7 @@ ABOVE_WAIST = 15.0  # cm: largest height of a skirt's panel above the waist
 ABOVE_CROTCH = 4.0  # cm above the crotch: a tall panel that ends higher covers the trunk
 BAND = 24.0  # cm: a panel above this height counts as tall
 UNDER_CROTCH = 2.0  # cm below the crotch: a short panel that ends higher is a band and covers the trunk
-POSITIONS = {
-    PanelRole.ARM: "beside an arm",
-    PanelRole.LEG: "round hips and legs",
-    PanelRole.BODY: "round the trunk",
-}
+POSITIONS = {PanelRole.ARM: "beside an arm", PanelRole.LEG: "round hips and legs", PanelRole.BODY: "round the trunk"}
 
 
 def label_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:

@@ -94,10 +94,7 @@ def integer(default: int, low: int, high: int, *, keep: float | None = None) -> 
 
 
 def choice(
-    default: Enum | float | None,
-    *options: Enum | float | None,
-    keep: float | None = None,
-    weights: Sequence[int] = (),
+    default: Enum | float | None, *options: Enum | float | None, keep: float | None = None, weights: Sequence[int] = ()
 ) -> Any:
     """One of several options, enum members or numbers; ``None`` means none of them. ``weights``: see ``Choice``."""
     return _parameter(Choice(default, keep, options, tuple(weights)))
@@ -244,12 +241,7 @@ def draw(kind: type[D] | DesignSpace[D], rng: np.random.Generator) -> D:
 
 
 def redrawn(
-    space: DesignSpace[D],
-    design: D,
-    path: str,
-    rng: np.random.Generator,
-    low: float = -np.inf,
-    high: float = np.inf,
+    space: DesignSpace[D], design: D, path: str, rng: np.random.Generator, low: float = -np.inf, high: float = np.inf
 ) -> D:
     """The design with the parameter, or the whole part, at a path of design files drawn again.
 

@@ -339,10 +339,7 @@ def _panel_of_rows(mesh: BoxMesh, panels: Int[np.ndarray, " p"]) -> Int[np.ndarr
 
 
 def _in_space(
-    mesh: BoxMesh,
-    fine_panel: Int[np.ndarray, " c"],
-    points: Float[np.ndarray, "m 2"],
-    panel: Int[np.ndarray, " m"],
+    mesh: BoxMesh, fine_panel: Int[np.ndarray, " c"], points: Float[np.ndarray, "m 2"], panel: Int[np.ndarray, " m"]
 ) -> Float[np.ndarray, "m 3"]:
     """Flat points of panels in space before sewing [cm], by the affine map of each panel's vertices on no seam."""
     used = fine_panel >= 0

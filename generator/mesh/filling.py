@@ -562,13 +562,7 @@ def find(
     for k in range(size[4]):
         p = queries[k]
         start = near_face(
-            cells,
-            touching,
-            size[3],
-            size[2],
-            (p[1] - option[1]) / pitch / ROW_64,
-            (p[0] - option[0]) / pitch,
-            last,
+            cells, touching, size[3], size[2], (p[1] - option[1]) / pitch / ROW_64, (p[0] - option[0]) / pitch, last
         )
         face = walk_to(points, faces, beside, start, p)
         if face < 0:

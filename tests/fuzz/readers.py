@@ -33,13 +33,7 @@ from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.jsonfile import read_toml
-from gcd_dataset.loaders import (
-    BodyDataset,
-    GarmentDataset,
-    GarmentLoader,
-    Hdf5Garments,
-    PublishedGarmentCodeData,
-)
+from gcd_dataset.loaders import BodyDataset, GarmentDataset, GarmentLoader, Hdf5Garments, PublishedGarmentCodeData
 from gcd_dataset.records import Drape, Layer, Outcome, Outfit, Sample, WornGarment
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.codec import decode_field, decode_fields, decode_sample, encode_sample

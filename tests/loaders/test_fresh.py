@@ -135,8 +135,7 @@ def test_an_error_of_a_worker_keeps_no_workers_alive() -> None:
 
 
 @pytest.mark.parametrize(
-    ("replay", "room", "stop", "workers"),
-    [(1, 1, 7, 0), (2.5, 4, 3, 0), (3, 4, 14, 2), (2, 9, 23, 0), (2, 4, 30, 0)],
+    ("replay", "room", "stop", "workers"), [(1, 1, 7, 0), (2.5, 4, 3, 0), (3, 4, 14, 2), (2, 9, 23, 0), (2, 4, 30, 0)]
 )
 def test_resuming_makes_no_earlier_garments(replay: float, room: int, stop: int, workers: int) -> None:
     options: dict[str, Any] = {"replay": replay, "room": room, "augment": PointNoise(1.0)}

@@ -287,8 +287,7 @@ def test_opening_a_published_folder_as_shards_names_the_right_class(folders: Pat
 def test_a_folder_without_the_split_file_is_read_whole(own: Path) -> None:
     next(own.glob("*split*.json")).unlink()
     with pytest.raises(
-        ShardError,
-        match=r"no official split .*: download it into this folder; split='all' does not need it",
+        ShardError, match=r"no official split .*: download it into this folder; split='all' does not need it"
     ):
         PublishedGarmentCodeData(own)
     assert len(PublishedGarmentCodeData(own, "all")) == 6

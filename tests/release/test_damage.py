@@ -107,13 +107,7 @@ def test_an_invalid_body_entry_is_reported(own: Path) -> None:
     assert str(caught.value).startswith(f"{path}: ")
 
 
-@pytest.mark.parametrize(
-    "kept",
-    [
-        b"[" * 100_000,
-        b'{"stamp": STAMP, "fails": ["rand_AAAAAAAAA0"], "facts": {}}',
-    ],
-)
+@pytest.mark.parametrize("kept", [b"[" * 100_000, b'{"stamp": STAMP, "fails": ["rand_AAAAAAAAA0"], "facts": {}}'])
 def test_invalid_cached_properties_are_made_again(own: Path, kept: bytes) -> None:
     read_first(own)
     (path,) = (own / BATCH / BODIES[0]).glob(".*.gcd.json")

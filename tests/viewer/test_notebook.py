@@ -11,13 +11,7 @@ import trimesh
 
 from gcd_dataset import generate_people
 from gcd_dataset.generator.drawing import SKIN, draw_body
-from gcd_dataset.loaders import (
-    BodyDataset,
-    FakeGarments,
-    GarmentDataset,
-    collate_packed,
-    collate_padded,
-)
+from gcd_dataset.loaders import BodyDataset, FakeGarments, GarmentDataset, collate_packed, collate_padded
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Panel, Pattern, Sample, StoredView
 from gcd_dataset.viewer.notebook import item_html

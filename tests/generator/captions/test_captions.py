@@ -379,10 +379,7 @@ NAMES: list[tuple[dict[str, Any], set[str]]] = [
     ({"meta": {"bottom": "PencilSkirt"}}, {"pencil skirt"}),
     ({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"flare": 1.3}}, {"a-line skirt"}),
     ({"meta": {"bottom": "Skirt2", "wb": "StraightWB"}, "skirt": {"ruffle": 1.5}}, {"gathered skirt", "ruffled"}),
-    (
-        {"meta": {"bottom": "SkirtLevels"}, "levels-skirt": {"base": "SkirtCircle"}},
-        {"tiered skirt", "circle skirt"},
-    ),
+    ({"meta": {"bottom": "SkirtLevels"}, "levels-skirt": {"base": "SkirtCircle"}}, {"tiered skirt", "circle skirt"}),
     ({"meta": {"bottom": "AsymmSkirtCircle"}}, {"circle skirt", "asymmetric"}),
     ({"meta": {"upper": "Cape"}}, {"top", "cape"}),
     *(

@@ -15,12 +15,7 @@ import warp as wp
 from warp._src import context
 
 from gcd_dataset.generator import device as devices
-from gcd_dataset.generator.drape import (
-    DrapeJob,
-    drape_all,
-    log_drape_time,
-    seconds_per_garment,
-)
+from gcd_dataset.generator.drape import DrapeJob, drape_all, log_drape_time, seconds_per_garment
 from gcd_dataset.generator.drape.kernels import place
 from gcd_dataset.generator.drape.solver import Solver
 from tests.helpers import SIZE, far_ball, patch

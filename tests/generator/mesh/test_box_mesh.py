@@ -361,11 +361,7 @@ def test_a_seam_of_right_to_wrong_turns_the_smaller_panel_over() -> None:
 def test_the_faces_of_a_moebius_strip_disagree_in_one_seam(caplog: pytest.LogCaptureFixture) -> None:
     """Three panels in a ring with one seam of right to wrong side form a one-sided band."""
     ring = [panel(name, rectangle(20.0, 5.0), at=(20.0 * k, 0.0, 0.0)) for k, name in enumerate("abc")]
-    seams = (
-        seam(("a", 1), ("b", 3)),
-        seam(("b", 1), ("c", 3)),
-        seam(("c", 1), ("a", 3), right_wrong=True),
-    )
+    seams = (seam(("a", 1), ("b", 3)), seam(("b", 1), ("c", 3)), seam(("c", 1), ("a", 3), right_wrong=True))
     mesh = build_box_mesh(sewn(*ring, seams=seams), spacing=1.0)
     on_seam = [set(mesh.seams[mesh.seams[:, 1] == number, 0].tolist()) for number in range(3)]
     edges = same_direction_edges(mesh.faces)
