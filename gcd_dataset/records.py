@@ -53,9 +53,6 @@ def _same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-# ---------------------------------------------------------------------------------------------------------------- body
-
-
 class BodyPart(Enum):
     """Part of the body of a vertex; the value is the label stored in arrays."""
 
@@ -125,9 +122,6 @@ class Body(Record):
     name: str = "body"
     posed: Callable[[Pose], Float[np.ndarray, "v 3"]] | None = field(default=None, compare=False, repr=False)
     """Vertices in a pose [cm], of a body of the user's model file; None: of the body model, or of a mesh file."""
-
-
-# ------------------------------------------------------------------------------------------------------------- pattern
 
 
 class PanelRole(StrEnum):
@@ -392,9 +386,6 @@ class Pattern(Record):
         raise PatternError(f"no panel named {name}: there are {', '.join(p.name for p in self.panels)}")
 
 
-# ---------------------------------------------------------------------------------------------------------------- mesh
-
-
 POSITION_STEP = 2.0**-9
 """Draped positions are multiples of this [cm], so that what is judged is what shards store."""
 FPS = 30.0
@@ -472,9 +463,6 @@ NO_MESH = BoxMesh(
     seams=np.zeros((0, 2), int),
 )
 """The mesh without vertices, of a sample that ends with stage ``pattern`` and of a picture of the body alone."""
-
-
-# --------------------------------------------------------------------------------------------------------------- drape
 
 
 class Outcome(Enum):
@@ -622,9 +610,6 @@ class Maps(Record):
     def by_vertex(self) -> dict[str, Float[np.ndarray, "v *channels"]]:
         """The arrays by name."""
         return {"stretch": self.stretch, "gap": self.gap, "pressure": self.pressure}
-
-
-# -------------------------------------------------------------------------------------------------------------- sample
 
 
 @dataclass(frozen=True)

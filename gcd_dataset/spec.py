@@ -186,9 +186,6 @@ def is_bodice(name: str) -> bool:
     return any(word in name.lower() for word in BODICE)
 
 
-# ------------------------------------------------------------------------------------------------------------- reading
-
-
 @dataclass(frozen=True)
 class _Form:
     """A file's conventions: length unit, control points, panel origins, loops."""
@@ -420,9 +417,6 @@ def euler_angles(matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
     return np.array([0.0, np.copysign(np.pi / 2, sine), np.arctan2(-matrix[0, 1], matrix[1, 1])])
 
 
-# ------------------------------------------------------------------------------------------------------------- writing
-
-
 def _panel_entry(panel: Panel) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "translation": panel.placement.translation.tolist(),
@@ -465,9 +459,6 @@ def _side_entry(ref: EdgeRef, panels: Mapping[str, Panel]) -> dict[str, Any]:
 
 def _names_line(sides: Sequence[Mapping[str, Any]]) -> bool:
     return any("line" in side for side in sides)
-
-
-# -------------------------------------------------------------------------------------------------------------- helpers
 
 
 def _hanging_point(panel: Panel) -> tuple[float, float, float]:

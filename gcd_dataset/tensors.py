@@ -353,9 +353,6 @@ def require_closed(panel: Panel) -> None:
             )
 
 
-# ------------------------------------------------------------------------------------------------------------- encoding
-
-
 def _table(known: tuple[str, ...], labels: Iterable[str]) -> tuple[str, ...]:
     """The known labels, followed by further ones in order of first use."""
     return tuple(dict.fromkeys((*known, *labels)))
@@ -451,9 +448,6 @@ def _quaternion(rotation: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
         ]
     )
     return -quaternion if quaternion[0] < 0 else quaternion
-
-
-# ------------------------------------------------------------------------------------------------------------- decoding
 
 
 def _require_sound(tensor: PatternTensor) -> None:

@@ -110,9 +110,6 @@ def grade(design: GarmentDesign, chart: SizeChart, *, name: str = "garment") -> 
     return graded
 
 
-# --------------------------------------------------------------------------------------------------------------- steps
-
-
 @dataclass(frozen=True)
 class DressedWearer:
     """One wearer of a design, with pattern and meshes: ready to drape."""

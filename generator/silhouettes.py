@@ -145,9 +145,6 @@ def _residuals(
         yield np.einsum("ni,ni->n", apart, normals), np.einsum("dni,ni->dn", across[:, own], normals), 1.0
 
 
-# --------------------------------------------------------------------------------------------------------------- files
-
-
 def write_cut_outs(
     folder: Path,
     pictures: UInt8[np.ndarray, "n h w 3"],

@@ -60,9 +60,6 @@ def run(*words: object) -> int:
     return main([str(word) for word in words])
 
 
-# ------------------------------------------------------------------------------------------------------------- convert
-
-
 def test_converted_shards_equal_the_published_files(published: Path, converted: Path) -> None:
     for split in ("train", "test"):
         before, after = PublishedGarmentCodeData(published, split), GarmentDataset(converted, split)
@@ -129,9 +126,6 @@ def test_a_folder_of_another_data_set_is_not_added_to(
     fill(tmp_path, range(2))
     assert run("convert", published, tmp_path, "--quiet") == 2
     assert "use the same or another folder" in capsys.readouterr().err
-
-
-# -------------------------------------------------------------------------------------------------------------- export
 
 
 def test_shards_to_the_published_layout_and_back(published: Path, exported: Path) -> None:

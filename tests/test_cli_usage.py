@@ -187,9 +187,6 @@ def test_no_verb_ends_with_the_code_of_ctrl_c_but_after_ctrl_c(
     assert "gcd info: stopped" in one_line(capsys.readouterr().err)
 
 
-# -------------------------------------------------------------------------------------------------- waits
-
-
 def test_generate_prints_an_estimate_before_it_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

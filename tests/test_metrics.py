@@ -174,9 +174,6 @@ def test_an_edge_cut_in_two_changes_the_edge_count_alone() -> None:
     assert_close(score, replace(PERFECT, edge_count_acc=2 / 3, combinatorial=0, edges_within_1cm=0))
 
 
-# ---------------------------------------------------------------------------------------------------------- n:m seams
-
-
 def rectangles(width: float, other: float, *, seams: tuple[tuple[int, int], ...] = ((0, 0),)) -> Pattern:
     """Two rectangles, 20 cm high, right sides out; ``seams``: edges of the front and the back sewn together."""
     back = panel("back", [(0.0, 0.0), (other, 0.0), (other, 20.0), (0.0, 20.0)], (other / 2, 50.0, -15.0))
@@ -302,9 +299,6 @@ def test_moved_corners_keep_the_seams(noise: float) -> None:
     whole, rng = garment(), np.random.default_rng(0)
     moved = each(lambda p: replace(p, vertices=p.vertices + rng.normal(0, noise, p.vertices.shape)))(whole)
     assert score_pattern(moved, whole).stitch_nm_f1 == pytest.approx(1)
-
-
-# ------------------------------------------------------------------------------------------------------------ failures
 
 
 def far_away(panel: Panel) -> Panel:

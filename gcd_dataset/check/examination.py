@@ -78,9 +78,6 @@ def examine(
     return replace(report, faults=tuple(faults), seconds=time.perf_counter() - begun)
 
 
-# ------------------------------------------------------------------------------------------------------------- sources
-
-
 @dataclass(frozen=True)
 class _Split:
     """The garments of one split."""
@@ -193,9 +190,6 @@ def _examined(known: Sequence[str] | None) -> tuple[str, ...]:
     return tuple(name for name in known if split_worn(name)[1] in (*FIELDS_READ, *ARRAYS[MAPS]))
 
 
-# -------------------------------------------------------------------------------------------------------- examination
-
-
 class _Examination:
     """Reads every garment once, then compares them."""
 
@@ -246,8 +240,6 @@ class _Examination:
             key = split.key(position) if self.tally.wants_example(check, split.name) else ""
             self.tally.add(check, split.name, key, list(dict.fromkeys(texts)))
 
-    # -------------------------------------------------------------------------------------------------- whole splits
-
     def _compare_splits(self) -> None:
         """Designs, patterns and bodies that splits share, and shares that differ."""
         for name, check in LEAKS.items():
@@ -289,8 +281,6 @@ class _Examination:
         shares = {name: dict(amounts.most_common()) for name, amounts in census.shares.items() if amounts}
         whole = 0 if split.garments is None else len(split.garments)
         return SplitSummary(split.name, whole, len(census), shares, census.medians())
-
-    # -------------------------------------------------------------------------------------------------------- look-up
 
     def _split(self, name: str) -> _Split:
         return next(split for split in self.source.splits if split.name == name)

@@ -353,9 +353,6 @@ def _is_folder(path: Path) -> bool:
         raise SpecError(f"{path}: cannot be read ({error.strerror}): choose a file that you may read") from error
 
 
-# ------------------------------------------------------------------------------------------------------- progress bar
-
-
 class Bar:
     """A progress bar on stderr, a new one for each split; keeps the latest progress.
 

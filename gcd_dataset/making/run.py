@@ -105,9 +105,6 @@ def run(
     return progress
 
 
-# ------------------------------------------------------------------------------------------------------------ beginning
-
-
 def begin(work: Work) -> None:
     """Check that the place holds nothing else, and prepare it.
 
@@ -168,9 +165,6 @@ def _restore_notes(work: Work) -> None:
             place.write(note_name(split, number), note.to_bytes())
     if lost:
         place.remove_fetched()
-
-
-# --------------------------------------------------------------------------------------------------------------- making
 
 
 def make_shards(place: Place, tasks: Sequence[Task], maker: Maker) -> Generator[Made, None, None]:
@@ -248,9 +242,6 @@ def _samples_in(draft: Path) -> set[int]:
         if isinstance(error.__cause__, FileNotFoundError):
             return set()
         raise
-
-
-# ----------------------------------------------------------------------------------------------------------- completing
 
 
 def index(place: Place) -> Gathered:

@@ -280,9 +280,6 @@ def ranked(counts: Mapping[str, int]) -> dict[str, int]:
     return dict(sorted(counts.items(), key=lambda entry: (-entry[1], entry[0])))
 
 
-# ---------------------------------------------------------------------------------------------------------------- JSON
-
-
 def sorted_json(entry: Mapping[str, Any]) -> bytes:
     """Compact JSON with sorted keys."""
     options: dict[str, Any] = {"separators": (",", ":"), "allow_nan": False, "ensure_ascii": False}

@@ -74,9 +74,6 @@ def shards_named(names: Iterable[str]) -> list[tuple[str, int]]:
     return sorted((match[1], int(match[2])) for match in matches if match is not None)
 
 
-# ------------------------------------------------------------------------------------------------------------- samples
-
-
 class StoredSample(NamedTuple):
     """A sample in a tar."""
 
@@ -178,9 +175,6 @@ def plan_of_sample(meta: Mapping[str, Any], plan: Plan) -> Plan:
     """``plan`` with the seed, recipe and version that a sample was made with."""
     generator = meta["versions"].get("gcd_dataset", plan.generator)
     return replace(plan, seed=meta["seed"], recipe=meta["recipe"], generator=generator)
-
-
-# --------------------------------------------------------------------------------------------------------------- notes
 
 
 @dataclass(frozen=True)
@@ -323,9 +317,6 @@ def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -
     if plan is None and any(head) and KEY.match(head.decode("latin-1")) is None:
         raise ShardError(f"{place.location()}: {FOREIGN}")
     return note_of(path, views, split, number, plan)
-
-
-# ----------------------------------------------------------------------------------------------------------- gathering
 
 
 @dataclass(frozen=True)

@@ -89,9 +89,6 @@ def crossing_vertices(
     return np.unique(edges[hit])
 
 
-# -------------------------------------------------------------------------------------------------------------- stages
-
-
 def _of_sample(sample: Sample, body: Body | None) -> Content:
     outfit, sample = sample.outfit, joined(sample)
     mesh, drape = sample.box_mesh, sample.drape
@@ -193,9 +190,6 @@ def _crossed(mesh: BoxMesh | None, drape: Drape | None, body: Body | None) -> In
     return crossing_vertices(np.asarray(drape.vertices, float), mesh.faces, body)
 
 
-# -------------------------------------------------------------------------------------------------------------- tables
-
-
 def _outfit_rows(outfit: Outfit) -> Iterator[tuple[str, str]]:
     """How each garment is worn, and how each two lie."""
     for number, garment in enumerate(outfit.garments):
@@ -272,9 +266,6 @@ def _text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return "none" if value is None else str(value)
-
-
-# ----------------------------------------------------------------------------------------------------------- crossings
 
 
 def _crossing_edges(

@@ -206,9 +206,6 @@ def has_display() -> bool:
     return sys.platform == "darwin" or bool(environ.get("DISPLAY") or environ.get("WAYLAND_DISPLAY"))
 
 
-# ------------------------------------------------------------------------------------------------------------- requests
-
-
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
 

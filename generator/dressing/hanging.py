@@ -147,9 +147,6 @@ def hang_from_lay_plan(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple
     )
 
 
-# ------------------------------------------------------------------------------------------------------- on the table
-
-
 def _flat_panel(panel: Panel) -> _FlatPanel:
     """A panel on the table: a back if its right side faces the table."""
     facing = 1.0 if shapely.LinearRing(panel_outline(panel)).is_ccw else -1.0
@@ -225,9 +222,6 @@ def _closed_share(table: Mapping[str, _FlatPanel], pattern: Pattern) -> float:
             gathered = abs(length - float(np.abs(np.diff(right)).sum()))
             closed += length if np.abs(left - right).mean() < CLOSED + gathered / 2 else 0.0
     return closed / total if total else 1.0
-
-
-# ------------------------------------------------------------------------------------------------------- on the body
 
 
 def _hang(table: Mapping[str, _FlatPanel], pattern: Pattern, wearer: Wearer) -> Pattern:

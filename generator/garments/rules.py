@@ -304,9 +304,6 @@ WORN = (too_tight, slides_off, tight_cuff, reaches_floor, cannot_be_put_on)
 """The rules about the wearer: on the body for which a garment is cut they reject, on another they are labels."""
 
 
-# ------------------------------------------------------------------------------------------------------------- figures
-
-
 def room_to_floor(size: Measurements, design: GarmentDesign) -> float:
     """Height of the nape above the floor, or for a bottom alone of the waist [cm]."""
     return size.waist_level if design.meta.upper is None else size.height - size.head_l

@@ -132,9 +132,6 @@ def _parameter(space: Space) -> Any:
     return field(default=space.default, metadata={"space": space})
 
 
-# --------------------------------------------------------------------------------------------------------- whole spaces
-
-
 class FieldEntry(NamedTuple):
     """One field of a design."""
 
@@ -341,9 +338,6 @@ def _space(kind: type[D] | DesignSpace[D]) -> DesignSpace[D]:
 
 def _key(entry: Any) -> str:
     return str(entry.metadata.get("key") or entry.name)
-
-
-# --------------------------------------------------------------------------------------------------------- plain values
 
 
 def to_dict(design: Design) -> dict[str, Any]:

@@ -221,9 +221,6 @@ def coarsen(mesh: BoxMesh) -> CoarseMesh:
     return _join(mesh, borders, thinned, _fill(mesh, borders, thinned))
 
 
-# ---------------------------------------------------------------------------------------------------------------- fill
-
-
 @dataclass(frozen=True)
 class _Filled:
     """The coarse panels: the kept points of all borders, then seeds panel by panel; ``q`` counts both."""
@@ -301,9 +298,6 @@ def _scaled(
     for k, size in enumerate(sizes.tolist()):
         loop = slice(first[k], first[k] + size)
         yield flat[loop], mirror[k] / np.sort(length[loop])[round(TYPICAL * (size - 1))], middle[k]
-
-
-# ---------------------------------------------------------------------------------------------------------------- join
 
 
 def _join(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned, filled: _Filled) -> CoarseMesh:

@@ -60,9 +60,6 @@ def set_face(faces: Rows, face: int, a: int, b: int, c: int):
     faces[face, 2] = c
 
 
-# ------------------------------------------------------------------------------------------------------- the outline
-
-
 @wp.func
 def is_convex(points: Points, a: int, k: int, b: int, slack: f64) -> int:
     return wp.where(turn(points[a], points[k], points[b]) > slack, 1, 0)
@@ -194,9 +191,6 @@ def flip_sides(points: Points, faces: Rows, beside: Rows, stack: Numbers, waitin
                         top += 1
                     side = 3
             side += 1
-
-
-# --------------------------------------------------------------------------------------------------------- the inside
 
 
 @wp.func

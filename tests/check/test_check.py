@@ -78,9 +78,6 @@ def test_a_good_data_set_has_no_finding(tmp_path: Path) -> None:
     assert report.splits[0].shares["outcome"] == {"SETTLED": TRAIN}
 
 
-# ------------------------------------------------------------------------------------------------ faults of garments
-
-
 def test_a_set_of_bodies_has_no_finding(tmp_path: Path) -> None:
     fill(tmp_path, range(6))
     assert main(["check", "--strict", "--quiet", str(tmp_path)]) == 0
@@ -293,9 +290,6 @@ def test_a_loop_that_runs_the_wrong_way_round_is_found(tmp_path: Path) -> None:
     assert names(report) == {"reversed-loops"}
 
 
-# --------------------------------------------------------------------------------------------------- faults of splits
-
-
 def same_design(train: Samples, test: Samples, row: int = 2) -> None:
     test[row] = replace(test[row], design=train[row + 3].design)
 
@@ -393,9 +387,6 @@ def test_failed_garments_belong_into_the_failed_split(tmp_path: Path) -> None:
     assert not names(examine(written(tmp_path, good()[4:TRAIN])))
 
 
-# ---------------------------------------------------------------------------------------------------- faults of files
-
-
 @pytest.fixture
 def shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("GCD_CACHE", str(tmp_path / "cache"))  # other tests have columns of equal shards in theirs
@@ -476,9 +467,6 @@ def test_an_unfinished_set_is_listed(tmp_path: Path) -> None:
     assert "30 of 40 samples are made" in fault
 
 
-# ------------------------------------------------------------------------------------------------------ other sources
-
-
 def test_quick_reads_a_part_of_each_split(shards: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gcd_dataset.check.examination.QUICK", 7)
     report = examine(shards, quick=True)
@@ -546,9 +534,6 @@ def test_patterns_alone_have_few_fields_and_no_fault(tmp_path: Path) -> None:
     assert (names(report), names(report, Harm.NOTE)) == (set(), {"fields"})
 
 
-# ---------------------------------------------------------------------------------------------------------- published
-
-
 @pytest.fixture(scope="module")
 def first_release(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return published.publish(tmp_path_factory.mktemp("first"))
@@ -603,9 +588,6 @@ def test_the_release_of_the_reference_system_has_no_harmful_finding(examples: Pa
     report = examine(examples / "published" / "GarmentCodeData_v2_unpacked", cache_dir=tmp_path)
     assert [(split.name, split.examined) for split in report.splits] == [("train", 2), ("test", 2)]
     assert not report.harmful
-
-
-# --------------------------------------------------------------------------------------------------------------- verb
 
 
 def test_the_verb_prints_findings_in_order_of_harm_and_exits_1(

@@ -78,8 +78,6 @@ def _plain(value: Any) -> Any:
     return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
-# ------------------------------------------------------------------------------------------------------------ garments
-
 CONFIG = MakeConfig(stage="mesh", resolution=8.0, points=64)
 COUNT = 2
 
@@ -111,9 +109,6 @@ def _with_drape(sample: Sample) -> Sample:
     picture = jpeg_bytes(np.full((16, 16, 3), 90 + sample.provenance.index, np.uint8))
     drape = Drape(sample.box_mesh.vertices, Outcome.SETTLED, 100, 3, 0, 1.0, 1.1)
     return replace(sample, drape=drape, front=picture, back=picture)
-
-
-# -------------------------------------------------------------------------------------------------------------- shards
 
 
 def _shards(folder: Path, name: str, *, streaming: bool = False, together: bool = False, without: str = "") -> Reader:
@@ -223,9 +218,6 @@ def _state(folder: Path) -> Reader:
     return Reader(content, read, protected=False)
 
 
-# ----------------------------------------------------------------------------------------------------------- published
-
-
 def _published(folder: Path, ending: str, *, packed: bool = False) -> Reader:
     """A release with one file replaced, extracted or ``packed``."""
     root = pack(_release(folder)) if packed else _release(folder)
@@ -254,9 +246,6 @@ def _release_files() -> Mapping[Path, bytes]:
         for _ in export_published(exported_splits(write_shards(Path(folder, "shards"), count=1)), root):
             pass
         return {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}
-
-
-# ------------------------------------------------------------------------------------------------- patterns and bodies
 
 
 def _specification(folder: Path) -> Reader:
@@ -395,9 +384,6 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "viewer-query": _query,
 }
 """Name to a function that makes the reader, with its files in a given folder."""
-
-
-# ----------------------------------------------------------------------------------------------------------- documents
 
 
 DOCUMENTS: dict[str, Callable[[bytes], Any]] = {

@@ -294,9 +294,6 @@ def test_errors_of_the_hub_are_reported(hub: Hub, staged: Staged, monkeypatch: p
         upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
 
 
-# ------------------------------------------------------------------------------------------------------------ commands
-
-
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
     return fill(tmp_path / "data", range(10))

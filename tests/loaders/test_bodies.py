@@ -54,9 +54,6 @@ def assert_same(item: Mapping[str, Any], other: Mapping[str, Any]) -> None:
     assert same({**item, "name": ""}, {**other, "name": ""})
 
 
-# --------------------------------------------------------------------------------------------------------------- ours
-
-
 def test_a_stored_shape_builds_the_stored_meshes(ours: Path) -> None:
     ds = BodyDataset(ours)
     for index in range(COUNT):
@@ -164,9 +161,6 @@ def test_a_damaged_mesh_is_named(tmp_path: Path, content: bytes | None) -> None:
 
 def own_mesh_of_four() -> Any:
     return type(MESH)(MESH.faces[:, [1, 2, 0]], MESH.parts)
-
-
-# ---------------------------------------------------------------------------------------------------------- published
 
 
 def test_the_published_layout_gives_the_same_items(ours: Path, published: Path, tmp_path: Path) -> None:

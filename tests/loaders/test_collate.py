@@ -212,9 +212,6 @@ def test_copies_share_no_memory() -> None:
         assert not len(value) or copy.data_ptr() != value.data_ptr()
 
 
-# ----------------------------------------------------------------------------------------------------- garments at once
-
-
 @pytest.mark.filterwarnings("ignore:The PyTorch API of nested tensors is in prototype")
 @pytest.mark.parametrize("field", ["panels", "edges", "labels"])
 def test_varlen_attention_equals_attention_per_garment(
@@ -326,8 +323,6 @@ def test_missing_fields_and_padded_batches_are_refused(items: list[dict[str, Any
     with pytest.raises(ConfigError, match="give an item or a packed batch"):
         seam_graph(collate_padded(items))
 
-
-# -------------------------------------------------------------------------------------------------------------- buffers
 
 LARGE = 100_000
 

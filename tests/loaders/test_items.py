@@ -84,9 +84,6 @@ def opened(sets: dict[str, Path], stage: Any) -> dict[str, Callable[..., Any]]:
 WAYS = ("folder", "stream", "hdf5", "generated")
 
 
-# --------------------------------------------------------------------------------------------------------------- fields
-
-
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize(("stage", "field"), [("pattern", "points"), ("pattern", "faces"), ("mesh", "verts")])
 def test_a_field_of_a_later_stage_is_refused_at_once(sets: dict[str, Path], way: str, stage: str, field: str) -> None:
@@ -135,9 +132,6 @@ def test_parts_of_a_mix_need_equal_fields(sets: dict[str, Path]) -> None:
         MixedDataset([pattern, [1]], [1, 1])  # type: ignore[list-item]
 
 
-# ---------------------------------------------------------------------------------------------------------------- types
-
-
 @pytest.mark.parametrize("way", WAYS)
 def test_floating_fields_are_float32_by_default(sets: dict[str, Path], way: str) -> None:
     fields = ("panels", "edges", "points", "box", "uv", "body")
@@ -171,9 +165,6 @@ def test_a_batch_of_mixed_types_is_refused(sets: dict[str, Path]) -> None:
     for collate in (collate_packed, collate_padded):
         with pytest.raises(ConfigError, match=r"panels has types torch\.float32, torch\.float64 in one batch"):
             collate(items)
-
-
-# -------------------------------------------------------------------------------------------------------------- indices
 
 
 def wrapped(ds: Garments, count: int = COUNT) -> list[Garments]:
@@ -280,9 +271,6 @@ def test_a_key_in_two_splits_is_refused(tmp_path: Path) -> None:
         MixedDataset([both], [1])["gcd_000000001"]
 
 
-# ------------------------------------------------------------------------------------------------------------- remedies
-
-
 def test_a_field_that_is_not_loaded_is_named(sets: dict[str, Path]) -> None:
     ds = GarmentDataset(sets["mesh"], fields=["panels", "body"])
     message = "the {} has no 'points': it holds panels, .*body.*: .*fields="
@@ -342,9 +330,6 @@ def test_select_takes_any_iterable_of_indices_and_refuses_others_in_one_sentence
             ds.select(wrong)
 
 
-# ----------------------------------------------------------------------------------------------------- typed and whole
-
-
 def test_the_sample_of_a_garment_is_whole_whatever_the_fields(sets: dict[str, Path], tmp_path: Path) -> None:
     expected = ShardReader(sets["mesh"]).sample(1)
     options: dict[str, Any] = {"fields": ["panels"], "stage": "mesh", "resolution": 6.0, "points": 512}
@@ -381,17 +366,11 @@ def test_a_design_overlay_may_be_a_dict() -> None:
             GeneratedGarments(2, design=design)  # type: ignore[arg-type]
 
 
-# ----------------------------------------------------------------------------------------------------------------- repr
-
-
 def test_a_number_beyond_float32_is_refused() -> None:
     large = np.array([1.0, 1e300])
     with pytest.raises(ShardError, match="dtype=None keeps the stored type"):
         tensor_of(large, torch.float32)
     assert tensor_of(large, None).tolist() == [1.0, 1e300]
-
-
-# ------------------------------------------------------------------------------------------------------------- places
 
 
 OPENED: dict[str, Callable[[], Any]] = {

@@ -93,9 +93,6 @@ def test_sizes_are_whole_numbers() -> None:
             GarmentLoader(garments(), 4, num_workers=workers)
 
 
-# ------------------------------------------------------------------------------------------------------- shared memory
-
-
 def is_full(*_: Any) -> Any:
     raise RuntimeError("unable to allocate shared memory(shm) for file </torch_1>: No space left on device (28)")
 
@@ -132,9 +129,6 @@ def test_shared_memory_without_room_for_queues_is_recognised_before_workers_star
     with pytest.raises(ConfigError, match=r"shared memory \(/dev/shm\) is full"):
         next(iter(FreshGarments(garments(), workers=1)))
     assert len(GarmentLoader(garments(), 5)) == 10
-
-
-# --------------------------------------------------------------------------------------------------------------- order
 
 
 def test_an_epoch_holds_every_garment_once_and_epochs_follow_on() -> None:
@@ -236,9 +230,6 @@ def test_a_selection_has_its_own_state(folder: Path) -> None:
     stored.load_state_dict(GarmentLoader(garments(10), 4).state_dict())
 
 
-# --------------------------------------------------------------------------------------------------------------- faults
-
-
 class Broken(Dataset):
     """Integers, one of which raises."""
 
@@ -259,9 +250,6 @@ def test_an_error_names_the_garment(workers: int) -> None:
     with pytest.raises(ShardError, match="while loading garment 5 of Broken"):
         next(batches)
     assert loader.state_dict()["position"] == 4
-
-
-# -------------------------------------------------------------------------------------------------------------- streams
 
 
 class Count(IterableDataset):

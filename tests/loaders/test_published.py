@@ -59,9 +59,6 @@ def numbers(published: PublishedGarmentCodeData) -> list[int]:
     return [published.number(index) for index in range(len(published))]
 
 
-# ------------------------------------------------------------------------------------------------------------ garments
-
-
 def test_items_equal_those_of_the_exported_shards(folders: Path) -> None:
     ours: Any = GarmentDataset(folders.parent / "shards")
     published: Any = PublishedGarmentCodeData(folders)
@@ -199,9 +196,6 @@ def test_verify_finds_files_that_disagree(own: Path) -> None:
     assert published.recipe(1)["index"] == 1
 
 
-# -------------------------------------------------------------------------------------------------------------- faults
-
-
 def swapped(old: bytes, new: bytes) -> Callable[[bytes], bytes]:
     def swap(content: bytes) -> bytes:
         assert old in content
@@ -297,9 +291,6 @@ def test_a_broken_split_file_is_named(own: Path) -> None:
     next(own.glob("*split*.json")).write_text('{"training": ["rand_AAAAAAAAA0"]}')
     with pytest.raises(ShardError, match="lacks a list named training"):
         PublishedGarmentCodeData(own)
-
-
-# --------------------------------------------------------- the reference's patterns, draped by another solver (Newton)
 
 
 def test_garments_of_the_reference_system_are_read_as_expected(examples: Path, tmp_path: Path) -> None:

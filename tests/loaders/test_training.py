@@ -65,9 +65,6 @@ def every(loader: Any) -> list[int]:
     return [number for batch in loader for number in ids(batch)]
 
 
-# ------------------------------------------------------------------------------------------------------- random numbers
-
-
 def jittered(item: dict[str, Any]) -> dict[str, Any]:
     """A user's transform that draws from all three global streams."""
     noise = torch.rand(()) + np.random.rand() + random.random()  # noqa: NPY002
@@ -184,9 +181,6 @@ def test_users_data_sets_do_not_change_the_models_random_draws() -> None:
     assert torch.equal(torch.get_rng_state(), before)
 
 
-# ---------------------------------------------------------------------------------------------------------------- ranks
-
-
 @pytest.mark.parametrize(("world_size", "workers"), [(2, 1), (3, 0)])
 def test_ranks_share_an_epoch(folder: Path, ranks: Callable, world_size: int, workers: int) -> None:
     """With 11 garments and batches of 2, the epoch ends differently for each world size."""
@@ -277,9 +271,6 @@ def test_a_framework_sets_the_epoch(folder: Path) -> None:
     assert len(ds) == len(sampler)
 
 
-# --------------------------------------------------------------------------------------------------------------- passes
-
-
 @pytest.mark.parametrize("workers", [0, 1])
 def test_a_broken_off_pass_is_not_continued(folder: Path, workers: int) -> None:
     """Lightning's sanity check takes two batches: the next pass covers the whole epoch."""
@@ -296,9 +287,6 @@ def test_a_broken_off_pass_is_not_continued(folder: Path, workers: int) -> None:
     unused = GarmentLoader(ds, 2)
     iter(unused), iter(unused)
     assert every(unused) == epochs[0]
-
-
-# --------------------------------------------------------------------------------------------------------------- states
 
 
 def test_the_state_of_another_data_set_is_refused(folder: Path, tmp_path: Path) -> None:
@@ -356,9 +344,6 @@ def test_the_error_for_an_invalid_state_is_one_line(folder: Path, entry: dict[st
             loader.load_state_dict(nothing)
 
 
-# -------------------------------------------------------------------------------------------------------------- streams
-
-
 @pytest.mark.parametrize(("world_size", "workers"), [(1, 0), (2, 3), (3, 0)])
 def test_ranks_and_workers_split_a_stream_evenly(
     folder: Path, three: Path, ranks: Callable, world_size: int, workers: int
@@ -374,9 +359,6 @@ def test_ranks_and_workers_split_a_stream_evenly(
         assert sorted(seen) == list(range(N))
         assert max(counts) - min(counts) <= 1
         assert workers or seen == list(range(N))
-
-
-# ----------------------------------------------------------------------------------------------------------- transforms
 
 
 def fails_at_7(item: dict[str, Any]) -> dict[str, Any]:

@@ -77,9 +77,6 @@ def forked(work: Callable[[], Any]) -> int:
     return child
 
 
-# ---------------------------------------------------------------------------------------------------------- equal bytes
-
-
 def test_the_files_of_a_data_set(first: Path, whole: dict[str, bytes]) -> None:
     """Twelve shards of a design each, on two bodies: 23 // 20 samples, rounded up to whole designs."""
     names = {f"train-{number:05d}.{ending}" for number in range(12) for ending in ("tar", "json")}
@@ -188,9 +185,6 @@ def test_sets_of_bodies_are_made_likewise(tmp_path: Path) -> None:
         generate_people(tmp_path / "jobs", 12, seed=3, bodies="male")
 
 
-# -------------------------------------------------------------------------------------------------------------- stores
-
-
 @pytest.fixture
 def url() -> Iterator[str]:
     yield "memory://bucket/set"
@@ -243,9 +237,6 @@ def test_a_store_that_does_not_answer_is_reported(
     assert f"{url}: no answer for 0 s; still trying, and Ctrl-C stops" in caplog.text
 
 
-# ------------------------------------------------------------------------------------------------------ other data sets
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -289,9 +280,6 @@ def test_jobs_and_urls_that_are_none_are_refused(tmp_path: Path, capsys: pytest.
             make(out, COUNT)
 
 
-# ---------------------------------------------------------------------------------------------------- unfinished sets
-
-
 def test_an_unfinished_set_is_read_and_says_how_to_go_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     out = tmp_path / "set"
     generate(out, 9, config=MakeConfig(stage="pattern"), job=Job(0, 3), workers=0)
@@ -302,9 +290,6 @@ def test_an_unfinished_set_is_read_and_says_how_to_go_on(tmp_path: Path, caplog:
     caplog.clear()
     GarmentDataset(out, fields=["panels"], partial=True)
     assert not caplog.text
-
-
-# ------------------------------------------------------------------------------------------------------------- rejects
 
 
 def test_each_rejected_attempt_has_a_line_with_its_figures(whole: dict[str, bytes], first: Path) -> None:
@@ -324,8 +309,6 @@ def test_each_rejected_attempt_has_a_line_with_its_figures(whole: dict[str, byte
         redraws.update(sample.provenance.redraws)
     assert split.redraws == redraws
 
-
-# ---------------------------------------------------------------------------------------------- kills at each operation
 
 RENAMES = ("replace", "unlink", "mkdir", "rmdir")
 """The functions of ``os`` between which the files of a data set change."""

@@ -162,8 +162,6 @@ def test_recipes_with_4_and_4_0_are_equal() -> None:
     assert len({recipe_hash({"n": value}) for value in (1, True, 1.5)}) == 3
 
 
-# -------------------------------------------------------------------------------------------------------------- drafts
-
 INDICES = range(4)
 PLAN = Plan("garments", 0, fake_sample(0, 0).provenance.recipe, 10, SHARD_SIZE)
 

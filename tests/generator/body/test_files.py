@@ -366,9 +366,6 @@ def test_a_floor_of_a_scene_is_not_its_body(tmp_path: Path) -> None:
     assert "left out: 12 triangles not connected to the body, such as a floor" in remarks
 
 
-# ----------------------------------------------------------------------------------------------------- malformed files
-
-
 def glb(tree: Any, data: bytes = b"") -> bytes:
     text = (tree if isinstance(tree, bytes) else json.dumps(tree).encode()).ljust(4)
     text += b" " * (-len(text) % 4)

@@ -167,9 +167,6 @@ def test_a_collar_that_differing_halves_leave_out_is_not_mentioned() -> None:
     assert "hood" not in halves.captions()["full"]
 
 
-# -------------------------------------------------------------------------------------------------------------- lengths
-
-
 def middle_length(panel: Panel) -> float:
     """Length of a skirt's front along its middle, from top to hem [cm]."""
     heights = []
@@ -238,9 +235,6 @@ def test_short_trousers_are_shorts(length: float, expected: str) -> None:
     assert expected in drawn(WOMAN, meta={"bottom": "Pants"}, pants={"length": length}).captions()["short"].lower()
 
 
-# ------------------------------------------------------------------------------------------------------------- symmetry
-
-
 def test_halves_that_differ_are_said_to_differ() -> None:
     left = {"enable_asym": True, "collar": {"f_collar": "VNeckHalf"}, "sleeve": {"sleeveless": False, "length": 0.9}}
     shirt = drawn(WOMAN, meta={"upper": "Shirt"}, left=left, collar={"f_collar": "SquareNeckHalf"}).captions()
@@ -265,9 +259,6 @@ def test_a_bodice_with_one_strap_is_called_one_shouldered() -> None:
     text = drawn(WOMAN, meta={"upper": "FittedShirt"}, left=left).captions()
     assert "one-shoulder" in text["short"]
     assert "on the right only" in text["full"]
-
-
-# -------------------------------------------------------------------------------------------------------------- wording
 
 
 def test_the_wording_is_a_function_of_seed_and_index() -> None:
@@ -443,9 +434,6 @@ def test_every_garment_has_one_kind_and_words_of_the_vocabulary(wardrobe: list[W
         assert all(len(group & set(found)) <= 1 for group in ALONE)
 
 
-# ------------------------------------------------------------------------------------------------------- drawn pattern
-
-
 def test_five_tiers_of_the_least_length_hang_lower_than_declared() -> None:
     """The tiers declare 2 cm each and are drawn 5 cm long: the hem is at least 15 cm lower."""
     section = {"length": 0.3, "base_length_frac": 0.6, "num_levels": 5, "base": "SkirtCircle", "level": "Skirt2"}
@@ -454,9 +442,6 @@ def test_five_tiers_of_the_least_length_hang_lower_than_declared() -> None:
     assert np.allclose(tiers, 5.0)
     assert 0.3 + 15 / WOMAN.leg_length < hem_depth(WOMAN, worn.design)
     assert "mini" not in garment_tags(*worn)
-
-
-# ------------------------------------------------------------------------------------------------------------- captions
 
 
 def longest_ratio(pattern: Pattern) -> float:
