@@ -1,7 +1,6 @@
 """The command line: files on disk, output and exit codes."""
 
 import contextlib
-import errno
 import importlib
 import io
 import json
@@ -100,24 +99,6 @@ def test_a_signal_leaves_no_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         write_whole(tmp_path / "a.json", b"{}")
         time.sleep(60)
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
-
-
-def test_a_full_disk_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["generate", str(tmp_path), "--count", "2", *FLAT]) == 0
-    capsys.readouterr()
-
-    def full(*_: object) -> int:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "pwrite", full)
-        assert main(["generate", str(tmp_path), "--count", "9", *FLAT]) == 1
-    assert "No space left on device" in one_line(capsys.readouterr().err)
-    assert main(["generate", str(tmp_path), "--count", "3", *FLAT]) == 0
-    assert "3 garments, 1 of them made now" in capsys.readouterr().out
-    assert len(GarmentDataset(tmp_path)) == 3
 
 
 def test_options_may_come_from_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

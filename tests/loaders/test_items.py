@@ -4,7 +4,7 @@ import importlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, assert_type
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +22,6 @@ from gcd_dataset.loaders import (
     FakeGarments,
     FreshGarments,
     GarmentDataset,
-    GarmentFields,
     Garments,
     GeneratedGarments,
     Hdf5Garments,
@@ -146,12 +145,6 @@ def test_floating_fields_are_float32_by_default(sets: dict[str, Path], way: str)
     for field in fields:
         assert torch.equal(item[field], stored[field].float())
         assert torch.equal(half[field], stored[field].to(torch.bfloat16))
-
-
-def test_stored_types_are_not_copied(sets: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.loaders.base.as_type", lambda tensor, dtype: pytest.fail(str(tensor.shape)))
-    monkeypatch.setattr(torch.Tensor, "to", lambda *_: pytest.fail("converted"))
-    assert len(GarmentDataset(sets["mesh"], fields=["panels"], dtype=None)[0]["panels"])
 
 
 def test_types_that_are_not_floating_are_refused(sets: dict[str, Path]) -> None:
@@ -343,15 +336,6 @@ def test_the_sample_of_a_garment_is_whole_whatever_the_fields(sets: dict[str, Pa
     assert [garments.sample(expected.key) for garments in ways] == len(ways) * [expected]
     assert MixedDataset([ds[1:2]], [1]).sample(0) == expected
     assert FakeGarments(2, fields=["meta"]).sample(1).drape is not None
-
-
-def test_the_type_of_a_field_is_known_to_type_checkers() -> None:
-    ds = FakeGarments(2)
-    assert_type(ds[0]["verts"], torch.Tensor)
-    assert_type(ds["gcd_000000001"]["measures"], dict[str, float])
-    assert_type([item["meta"] for item in ds[:1]], list[dict[str, Any]])
-    assert_type(ds[[0, 1]], list[GarmentFields])
-    assert GarmentFields.__annotations__.keys() >= ds[0].keys()
 
 
 def test_a_design_overlay_may_be_a_dict() -> None:

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, PatternError, ShardError
-from gcd_dataset.loaders import GarmentDataset, PublishedGarmentCodeData, collate_list
+from gcd_dataset.loaders import GarmentDataset, PublishedGarmentCodeData
 from gcd_dataset.records import MEASURES
-from gcd_dataset.release.batches import Facts, PublishedBatches
+from gcd_dataset.release.batches import Facts
 from gcd_dataset.release.published_names import ENDINGS, properties_name
 from gcd_dataset.release.read_garment import PublishedGarment
 from gcd_dataset.release.write import garment_files
@@ -114,17 +113,6 @@ def test_the_two_garments_of_a_design_are_adjacent(folders: Path) -> None:
     assert len(PublishedGarmentCodeData(folders.parent, "test")) == 2  # the folder above
 
 
-def test_batches_are_opened_once_for_all_splits(folders: Path) -> None:
-    batches = PublishedBatches(folders, bodies="default")
-    for split in ("train", "test"):
-        opened, again = (
-            PublishedGarmentCodeData(batches, split),
-            PublishedGarmentCodeData(folders, split, bodies="default"),
-        )
-        assert opened.names == again.names
-        assert same(opened[0], again[0])
-
-
 def test_failed_garments_are_left_out(own: Path) -> None:
     fail(own, TRAIN[0], BODIES[1])
     published = PublishedGarmentCodeData(own)
@@ -160,15 +148,6 @@ def test_only_the_files_of_the_fields_are_read(own: Path, folders: Path) -> None
                 path.write_bytes(file_of(folders, TRAIN[0], kind).read_bytes())
         item = PublishedGarmentCodeData(own, fields=field)[0]
         assert same(item, PublishedGarmentCodeData(folders, fields=field)[0])
-
-
-def test_workers_read_archives(packed: Path) -> None:
-    published = PublishedGarmentCodeData(packed, fields=("verts", "spec"))
-    loader = DataLoader(published, 1, num_workers=2, collate_fn=collate_list, multiprocessing_context="fork")
-    sent = pickle.loads(pickle.dumps(published))  # as for a spawned worker
-    for item, (other,), third in zip(published, loader, sent, strict=True):
-        assert same(item, other)
-        assert same(item, third)
 
 
 def test_vertices_that_touch_in_the_drape_stay_distinct(folders: Path) -> None:

@@ -1,12 +1,9 @@
 """Training on generated patterns: random draws and order depend on seeds, not on the way of loading."""
 
-import multiprocessing
-import os
 import pickle
 import random
 from collections import Counter
 from collections.abc import Callable
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -214,42 +211,6 @@ def test_the_rank_is_looked_up_at_each_pass(folder: Path, ranks: Callable) -> No
         numbers += list(samplers[rank])
     assert sorted(seen) == sorted(numbers) == list(range(N))
     assert sorted(every(fixed)) == list(range(N))
-
-
-def gloo(rank: int, place: Path, folder: Path, tell: Connection) -> None:
-    """A rank that builds its loaders before it joins the process group."""
-    for name in ("RANK", "WORLD_SIZE"):
-        os.environ.pop(name, None)
-    torch.set_num_threads(1)
-    ds = GarmentDataset(folder, fields=["meta"])
-    loader = GarmentLoader(ds, 2)
-    sampler = ElasticSampler(ds)
-    plain = DataLoader(ds, 2, sampler=sampler, collate_fn=collate_packed, num_workers=1)
-    stream = GarmentDataset(folder, fields=["meta"], streaming=True)
-    torch.distributed.init_process_group("gloo", f"file://{place}", rank=rank, world_size=2)
-    seen = [every(it) for it in (loader, loader, plain, DataLoader(stream, 2, collate_fn=collate_packed))]
-    sent = pickle.dumps(stream)  # as to a spawned worker, which has no process group
-    torch.distributed.destroy_process_group()
-    seen.append(every(DataLoader(pickle.loads(sent), 2, collate_fn=collate_packed)))
-    tell.send((seen, loader.state_dict()["position"], sampler.state_dict(received=6)["position"]))
-
-
-def test_ranks_may_join_after_their_loaders_were_built(folder: Path, tmp_path: Path) -> None:
-    fork = multiprocessing.get_context("fork")
-    pipes = [fork.Pipe(duplex=False) for _ in range(2)]
-    children = [
-        fork.Process(target=gloo, args=(rank, tmp_path / "meet", folder, tell)) for rank, (_, tell) in enumerate(pipes)
-    ]
-    for child in children:
-        child.start()
-    assert all(hear.poll(120) for hear, _ in pipes)
-    (first, *states), (second, *others) = (hear.recv() for hear, _ in pipes)
-    for child in children:
-        child.join()
-    for own, other in zip(first, second, strict=True):
-        assert len(own) == len(other) == N // 2
-        assert sorted(own + other) == list(range(N))
-    assert states == others == [2 * N, N]
 
 
 def test_a_framework_sets_the_epoch(folder: Path) -> None:

@@ -386,17 +386,6 @@ def test_folds_and_the_seams_of_their_layers_survive_in_all_formats(one: float, 
         assert [read.layers(seam) for seam in seams] == [pleat.layers(seam) for seam in seams]
 
 
-def test_angles_of_folds_are_a_section_that_earlier_versions_skip(sample: Sample) -> None:
-    first, *others = sample.pattern.panels
-    folded = replace(first, lines=(InnerLine(0, 2, role=LineRole.FOLD, angle=-180.0),))
-    stored = encode_sample(replace(sample, pattern=replace(sample.pattern, panels=(folded, *others))))
-    assert unpack(stored["pattern.z"])["lines"].shape == (1, 16)
-    assert decode_sample(stored).pattern.panels[0].lines == folded.lines
-    short = pack({**unpack(stored["pattern.z"]), "angles": np.zeros(2)})
-    with pytest.raises(ShardError, match=r"section angles: shape \(2,\) for 1 lines"):
-        decode_sample({**stored, "pattern.z": short})
-
-
 def test_lines_are_stored_where_there_are_any(sample: Sample) -> None:
     first = sample.pattern.panels[0]
     lined = replace(first, lines=(InnerLine(0, 2, role=LineRole.PLACEMENT),))

@@ -221,17 +221,6 @@ def test_a_draft_belongs_to_one_process(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_kill_between_the_names_of_a_shard_is_no_loss(tmp_path: Path) -> None:
-    """Pictures and note have their names, the tar has not."""
-    folder = begun(tmp_path / "killed", 4)
-    with no_name(0), pytest.raises(KeyboardInterrupt):
-        finished(folder)
-    assert (folder / "views" / "train-00000.tar").exists()
-    with own_draft(folder) as opened:
-        assert opened.done == set(INDICES)
-    assert finished(folder) == finished(tmp_path / "whole")
-
-
 def test_skipped_samples_are_noted(tmp_path: Path) -> None:
     with own_draft(tmp_path) as opened:
         opened.add(0, encode_sample(fake_sample(0, 0)))

@@ -1,12 +1,8 @@
 """Whole drapes: outcomes, and independence of batch, order and device sharing."""
 
-import gc
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
-from itertools import islice
-from typing import Any
-from weakref import WeakSet
 
 import numpy as np
 import pytest
@@ -20,7 +16,7 @@ from gcd_dataset.generator.device import launch_lock
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, Tensile, drape_all, drape_batch
 from gcd_dataset.generator.drape.batches import Lane, drape_unordered
 from gcd_dataset.generator.drape.holds import fell, holds, off_body
-from gcd_dataset.generator.drape.model import ClothModel, build_model
+from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import FINISHES, best_of, collect, crosses, slid_off
 from gcd_dataset.generator.drape.slots import CoarseEnd, Slots, room_for, rooms_of
 from gcd_dataset.generator.drape.solver import Solver
@@ -312,49 +308,6 @@ def test_garments_enter_and_leave_a_batch_without_a_change_for_others() -> None:
     frames(2)
     require_same(0, 0, 2)
     require_same(2, 1, 2)
-
-
-@pytest.fixture
-def living(monkeypatch: pytest.MonkeyPatch) -> Iterator[WeakSet[Solver]]:
-    """The solvers that are in memory, without a collection of cycles; none when another is made."""
-    solvers: WeakSet[Solver] = WeakSet()
-
-    def make(model: ClothModel, config: DrapeConfig) -> Solver:
-        assert not solvers
-        solver = Solver(model, config)
-        solvers.add(solver)
-        return solver
-
-    monkeypatch.setattr("gcd_dataset.generator.drape.slots.Solver", make)
-    gc.disable()
-    yield solvers
-    gc.enable()
-
-
-@pytest.mark.parametrize("taken", [1, 4])
-def test_buffers_are_freed_before_larger_ones_are_made_and_at_the_end(
-    living: WeakSet[Solver], taken: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By the lane: what is dropped later waits for the next drape on its stream. ``taken``: drapes, all or not all."""
-    events: list[str] = []
-    free = Lane.free
-
-    def making(room: int, *given: Any, **options: Any) -> Slots:
-        events.append("made")
-        return Slots(room, *given, **options)
-
-    def freeing(lane: Lane) -> None:
-        free(lane)
-        events.append("left" if living else "freed")
-
-    monkeypatch.setattr("gcd_dataset.generator.drape.batches.Slots", making)
-    monkeypatch.setattr(Lane, "free", freeing)
-    jobs, config = [on_a_ball(columns) for columns in (4, 4, 9, 4)], DrapeConfig(max_frames=2)
-    drapes = drape_unordered(iter(jobs), config, device="cpu", at_once=2)
-    assert len(list(islice(drapes, taken))) == taken
-    del drapes
-    assert set(events) == {"made", "freed"}
-    assert events[-1] == "freed"
 
 
 def test_a_band_cut_too_small_is_overstretched() -> None:
