@@ -19,6 +19,7 @@ from gcd_dataset.making.progress import SETTLED, Progress
 if TYPE_CHECKING:
     from tqdm import tqdm
 
+    from gcd_dataset.bodies import Wearer
     from gcd_dataset.generator.garments import GarmentDesign
     from gcd_dataset.records import Body, Measurements, Pattern, Sample
     from gcd_dataset.shards import ShardReader
@@ -151,7 +152,7 @@ def add_height(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def wearer_of(options: argparse.Namespace) -> "Callable[[bool], tuple[Body, Measurements]]":
+def wearer_of(options: argparse.Namespace) -> "Wearer":
     """The function that reads ``--body`` when called: body and measures, with legs straight or apart."""
     from gcd_dataset.generator.body.by_name import named_body, shape_by_name
 

@@ -26,9 +26,9 @@ from gcd_dataset.cli.common import (
 from gcd_dataset.errors import ConfigError, GcdError, ShardError
 
 if TYPE_CHECKING:
+    from gcd_dataset.bodies import Wearer
     from gcd_dataset.loaders import PublishedGarmentCodeData
     from gcd_dataset.shards import ShardReader
-    from gcd_dataset.viewer.content import Wearer
     from gcd_dataset.viewer.garments import Album
 
 HIGHEST_PORT = 65_535

@@ -1,6 +1,6 @@
 """The contents of a display of one garment: frozen arrays and texts, the same for every front end."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from gcd_dataset.bodies import Wearer
 from gcd_dataset.errors import BodyError, GcdError
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.outfits import joined
@@ -30,8 +31,6 @@ from gcd_dataset.records import (
 
 Rows = tuple[tuple[str, str], ...]
 """Names and values of a table."""
-Wearer = Callable[[bool], tuple[Body, Measurements]]
-"""Body and measures, with legs straight or apart."""
 SPEC_SPACING = 2.0  # cm, of the mesh of a specification file
 TINY = 0.01  # cm: least radius that has a size class of its own
 PARALLEL = 1e-12  # cm³: least volume of edge and face for a crossing

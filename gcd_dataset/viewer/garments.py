@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
 
+from gcd_dataset.bodies import Wearer
 from gcd_dataset.errors import BodyError, ConfigError, GcdError, PatternError, ShardError, shown
 from gcd_dataset.faults import require_valid
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern, picture_of
@@ -23,7 +24,7 @@ from gcd_dataset.shards.index import GRADES
 from gcd_dataset.shards.layout import MAPS
 from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.spec import pattern_name, read_pattern
-from gcd_dataset.viewer.content import Content, Wearer, body_of, content_of
+from gcd_dataset.viewer.content import Content, body_of, content_of
 from gcd_dataset.viewer.maps import map_pictures, require_maps
 from gcd_dataset.viewer.page import page_of
 
