@@ -220,12 +220,6 @@ def test_stored_captions_equal_those_made_on_demand(caption_folder: Path, tmp_pa
     assert [item["caption"] for item in cached] == stored
 
 
-def test_a_stopped_run_with_captions_goes_on(caption_folder: Path, tmp_path: Path) -> None:
-    generate(tmp_path, 2, seed=SEED, config=FLAT)
-    generate(tmp_path, CAPTIONED, seed=SEED, config=FLAT)
-    assert (tmp_path / "train-00000.tar").read_bytes() == (caption_folder / "train-00000.tar").read_bytes()
-
-
 def test_a_level_may_be_drawn_at_each_use(caption_folder: Path) -> None:
     ds = Augmented(GarmentDataset(caption_folder, fields=["caption"]), PickCaption(), seed=3)
     drawn = set()
