@@ -170,8 +170,8 @@ def _restore_notes(work: Work) -> None:
 def make_shards(place: Place, tasks: Sequence[Task], maker: Maker) -> Generator[Made, None, None]:
     """Make the shards of tasks that are not done, yielding each sample when it is stored.
 
-    Samples of a killed run's drafts are kept. A task that another process works on is tried
-    last, then waited for. Raises ``OutputError`` where the place cannot be written.
+    Samples of a killed run's drafts are kept. A task that another process works on is tried last, then waited for.
+    Raises ``OutputError`` where the place cannot be written.
     """
     others = set[str]()  # tars of the tasks of other processes
     while missing := _missing(place, tasks):
