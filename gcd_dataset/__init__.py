@@ -39,34 +39,10 @@ if TYPE_CHECKING:
     from gcd_dataset.shards.codec import decode
 
 __all__ = [
-    "Body",
-    "BodyPart",
-    "BodyShape",
-    "BoxMesh",
-    "Drape",
-    "Edge",
-    "EdgeRef",
-    "Job",
-    "Measurements",
-    "Outcome",
-    "Panel",
-    "Pattern",
-    "Placement",
-    "Pose",
-    "Progress",
-    "ProgressCallback",
-    "Sample",
-    "Seam",
-    "__version__",
-    "convert",
-    "decode",
-    "export",
-    "generate",
-    "generate_people",
-    "generate_recipe",
-    "index",
-    "publish",
-]
+    "Body", "BodyPart", "BodyShape", "BoxMesh", "Drape", "Edge", "EdgeRef", "Job", "Measurements", "Outcome", "Panel",
+    "Pattern", "Placement", "Pose", "Progress", "ProgressCallback", "Sample", "Seam", "__version__", "convert",
+    "decode", "export", "generate", "generate_people", "generate_recipe", "index", "publish",
+]  # fmt: skip
 
 __version__ = "0.1.0"
 

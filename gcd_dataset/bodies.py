@@ -1,6 +1,7 @@
 """People of a body set: shape, two poses and measures of each; and the mesh that all bodies of a set share."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,8 @@ from gcd_dataset.records import MEASURES, Body, BodyShape, Measurements, Record
 
 POSES: tuple[str, ...] = ("straight", "apart")
 """Poses of the legs; trousers are draped on ``apart``."""
+Wearer = Callable[[bool], tuple[Body, Measurements]]
+"""Body and measures, with legs straight or apart."""
 
 
 @dataclass(frozen=True, eq=False)

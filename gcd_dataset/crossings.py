@@ -80,9 +80,6 @@ def _narrow_phase(
             yield Crossing(i, j, (float(far[0, 0]), float(far[0, 1])))
 
 
-# ---------------------------------------------------------------------------------------------------------- broad phase
-
-
 def _hull(start: complex, end: complex, curve: Curve) -> tuple[complex, complex, complex, complex]:
     chord = end - start
     match curve:
@@ -208,9 +205,6 @@ def _sector(hulls: Complex[np.ndarray, "e 4"]) -> tuple[Complex[np.ndarray, " e"
     angles = np.angle((hulls[:, 1:] - hulls[:, :1]) / chord[:, None])
     low, high = angles.min(axis=1), angles.max(axis=1)
     return chord / np.abs(chord) * np.exp(0.5j * (low + high)), 0.5 * (high - low)
-
-
-# --------------------------------------------------------------------------------------------------------- narrow phase
 
 
 def _polyline(panel: Panel, index: int, lengths: Sequence[float]) -> shapely.LineString:

@@ -22,23 +22,9 @@ from jaxtyping import Float
 from gcd_dataset.errors import PatternError
 
 __all__ = [
-    "LINE",
-    "Arc",
-    "Cubic",
-    "Curve",
-    "Line",
-    "Point",
-    "Quadratic",
-    "curve_length",
-    "curve_points",
-    "curve_tangents",
-    "from_frame",
-    "mirrored",
-    "reflection",
-    "reversed_curve",
-    "sample_curve",
-    "to_frame",
-]
+    "LINE", "Arc", "Cubic", "Curve", "Line", "Point", "Quadratic", "curve_length", "curve_points", "curve_tangents",
+    "from_frame", "mirrored", "reflection", "reversed_curve", "sample_curve", "to_frame",
+]  # fmt: skip
 
 Point: TypeAlias = tuple[float, float]
 

@@ -22,24 +22,10 @@ Messages are one line: file or object, fault, remedy. ``gcd`` prints them unchan
 from collections.abc import Iterable
 
 __all__ = [
-    "BodyError",
-    "ConfigError",
-    "DrapeError",
-    "ExtraMissing",
-    "FitError",
-    "GcdError",
-    "MeshError",
-    "MissingError",
-    "OutputError",
-    "PatternError",
-    "RefusedError",
-    "RemoteError",
-    "ShardError",
-    "SpecError",
-    "TransformError",
-    "did_you_mean",
-    "shown",
-]
+    "BodyError", "ConfigError", "DrapeError", "ExtraMissing", "FitError", "GcdError", "MeshError", "MissingError",
+    "OutputError", "PatternError", "RefusedError", "RemoteError", "ShardError", "SpecError", "TransformError",
+    "did_you_mean", "shown",
+]  # fmt: skip
 
 JOINERS = dict.fromkeys(map(ord, "\xa0\u2009\u200c\u200d\u200e\u200f\u202f\u3000"))
 """Spaces and joiners in words of some scripts and in emoji, which ``str.isprintable`` refuses."""

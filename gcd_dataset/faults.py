@@ -189,9 +189,6 @@ def require_valid(pattern: Pattern, source: str = "") -> Pattern:
     return pattern
 
 
-# ------------------------------------------------------------------------------------------------------------- outlines
-
-
 def _name_faults(panels: Sequence[Panel]) -> Iterator[Fault]:
     """Panel names that are empty, unprintable or repeated: seams, mesh files and messages refer to panels by name."""
     for number, panel in enumerate(panels):
@@ -322,9 +319,7 @@ def _small_panels(
 
 
 def _crossings(
-    panels: Sequence[Panel],
-    hulls: Mapping[int, Complex[np.ndarray, "e 4"]],
-    lengths: Mapping[int, list[float]],
+    panels: Sequence[Panel], hulls: Mapping[int, Complex[np.ndarray, "e 4"]], lengths: Mapping[int, list[float]]
 ) -> Iterator[tuple[int, Fault]]:
     """Panel number and fault for edges that meet themselves or another edge outside a shared corner."""
     numbers = list(hulls)
@@ -383,9 +378,6 @@ def _unfolded(line: InnerLine, corners: Collection[int]) -> str:
     if line.curve != LINE or not {line.start, line.end} <= set(corners):
         return "draw it straight, from the outline to the outline"
     return ""
-
-
-# ---------------------------------------------------------------------------------------------------------------- seams
 
 
 def _seam_faults(pattern: Pattern, lengths: dict[EdgeRef, float]) -> Iterator[Fault]:

@@ -182,8 +182,6 @@ def discard_stdout() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-# ---------------------------------------------------------------------------------------------------------------- names
-
 NAME = re.compile(r"\w[\w .()+-]*")
 OTHERS = re.compile(r"[^\w .()+-]+")
 LONGEST = 120  # bytes in UTF-8: file systems allow 255, and endings such as _vertex_labels.yaml are appended

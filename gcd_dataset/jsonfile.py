@@ -164,9 +164,6 @@ def found(value: Any) -> str:
     return text if len(text) < 60 else text[:57] + "..."
 
 
-# ------------------------------------------------------------------------------------------------------------- parsing
-
-
 def _no_constant(text: str) -> float:
     raise ValueError(f"{text} is not a number")
 
@@ -209,8 +206,6 @@ def _limit(values: Any) -> str:
     numbers = [value for value in values if isinstance(value, int | float)] if isinstance(values, list) else []
     return f" of at most {LARGEST_NUMBER:g}" if any(abs(value) > LARGEST_NUMBER for value in numbers) else ""
 
-
-# ----------------------------------------------------------------------------------------------------------------- TOML
 
 LARGEST_TOML = 1 << 20  # bytes, a second to parse; a config file has some kilobytes
 MOST_DOTS = 1000  # in a line; for a dotted key tomllib takes time and memory that grow with the square of its parts

@@ -46,12 +46,7 @@ PANEL_COLUMNS = [
     PanelColumn.N_EDGES,
     PanelColumn.LABEL,
 ]
-QUATERNION = [
-    PanelColumn.QUATERNION_W,
-    PanelColumn.QUATERNION_X,
-    PanelColumn.QUATERNION_Y,
-    PanelColumn.QUATERNION_Z,
-]
+QUATERNION = [PanelColumn.QUATERNION_W, PanelColumn.QUATERNION_X, PanelColumn.QUATERNION_Y, PanelColumn.QUATERNION_Z]
 EDGE_COLUMNS = [column for column in EdgeColumn if column is not EdgeColumn.RADIUS]
 LINE_COLUMNS = [column for column in LineColumn if column not in (LineColumn.RADIUS, LineColumn.ANGLE)]
 

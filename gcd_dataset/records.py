@@ -19,43 +19,11 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.measurements import ANGLES, MEASURES, Measurements
 
 __all__ = [
-    "ANGLES",
-    "MEASURES",
-    "Body",
-    "BodyPart",
-    "BodyShape",
-    "BoxMesh",
-    "Closure",
-    "Drape",
-    "Ease",
-    "Edge",
-    "EdgeRef",
-    "EdgeRole",
-    "Fit",
-    "FitLabel",
-    "Grade",
-    "InnerLine",
-    "Layer",
-    "LineRole",
-    "Maps",
-    "Measurements",
-    "NamedFabric",
-    "Outcome",
-    "Outfit",
-    "Panel",
-    "PanelRole",
-    "Pattern",
-    "Placement",
-    "Provenance",
-    "Record",
-    "Rejected",
-    "Sample",
-    "Seam",
-    "StoredView",
-    "Strain",
-    "WornGarment",
-    "role_of",
-]
+    "ANGLES", "MEASURES", "Body", "BodyPart", "BodyShape", "BoxMesh", "Closure", "Drape", "Ease", "Edge", "EdgeRef",
+    "EdgeRole", "Fit", "FitLabel", "Grade", "InnerLine", "Layer", "LineRole", "Maps", "Measurements", "NamedFabric",
+    "Outcome", "Outfit", "Panel", "PanelRole", "Pattern", "Placement", "Provenance", "Record", "Rejected", "Sample",
+    "Seam", "StoredView", "Strain", "WornGarment", "role_of",
+]  # fmt: skip
 
 
 class Record:
@@ -83,9 +51,6 @@ def _same(a: Any, b: Any) -> bool:
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return list(a) == list(b) and all(_same(a[key], b[key]) for key in a)
     return bool(a == b)
-
-
-# ---------------------------------------------------------------------------------------------------------------- body
 
 
 class BodyPart(Enum):
@@ -159,9 +124,6 @@ class Body(Record):
     """Vertices in a pose [cm], of a body of the user's model file; None: of the body model, or of a mesh file."""
     joints: Float[np.ndarray, "21 3"] | None = field(default=None, compare=False, repr=False)
     """Joints of ``BONES`` in a pose of the body model [cm]; None: those that the rig finds from the vertices."""
-
-
-# ------------------------------------------------------------------------------------------------------------- pattern
 
 
 class PanelRole(StrEnum):
@@ -426,9 +388,6 @@ class Pattern(Record):
         raise PatternError(f"no panel named {name}: there are {', '.join(p.name for p in self.panels)}")
 
 
-# ---------------------------------------------------------------------------------------------------------------- mesh
-
-
 POSITION_STEP = 2.0**-9
 """Draped positions are multiples of this [cm], so that what is judged is what shards store."""
 FPS = 30.0
@@ -506,9 +465,6 @@ NO_MESH = BoxMesh(
     seams=np.zeros((0, 2), int),
 )
 """The mesh without vertices, of a sample that ends with stage ``pattern`` and of a picture of the body alone."""
-
-
-# --------------------------------------------------------------------------------------------------------------- drape
 
 
 class Outcome(Enum):
@@ -656,9 +612,6 @@ class Maps(Record):
     def by_vertex(self) -> dict[str, Float[np.ndarray, "v *channels"]]:
         """The arrays by name."""
         return {"stretch": self.stretch, "gap": self.gap, "pressure": self.pressure}
-
-
-# -------------------------------------------------------------------------------------------------------------- sample
 
 
 @dataclass(frozen=True)

@@ -50,16 +50,9 @@ from gcd_dataset.records import (
 )
 
 __all__ = [
-    "is_bodice",
-    "is_trouser_leg",
-    "panel_order",
-    "pattern_from_spec",
-    "pattern_name",
-    "read_pattern",
-    "role_by_name",
-    "spec_from_pattern",
-    "write_pattern",
-]
+    "is_bodice", "is_trouser_leg", "panel_order", "pattern_from_spec", "pattern_name", "read_pattern", "role_by_name",
+    "spec_from_pattern", "write_pattern",
+]  # fmt: skip
 
 UNITS_IN_METER = 100  # files are written in centimetres
 NEIGHBOURS = 10.0  # cm: panels this close in x form a column of the panel order, in y a row
@@ -191,9 +184,6 @@ def is_trouser_leg(name: str) -> bool:
 def is_bodice(name: str) -> bool:
     """Whether a panel hangs from the armpits, by its name."""
     return any(word in name.lower() for word in BODICE)
-
-
-# ------------------------------------------------------------------------------------------------------------- reading
 
 
 @dataclass(frozen=True)
@@ -427,9 +417,6 @@ def euler_angles(matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
     return np.array([0.0, np.copysign(np.pi / 2, sine), np.arctan2(-matrix[0, 1], matrix[1, 1])])
 
 
-# ------------------------------------------------------------------------------------------------------------- writing
-
-
 def _panel_entry(panel: Panel) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "translation": panel.placement.translation.tolist(),
@@ -472,9 +459,6 @@ def _side_entry(ref: EdgeRef, panels: Mapping[str, Panel]) -> dict[str, Any]:
 
 def _names_line(sides: Sequence[Mapping[str, Any]]) -> bool:
     return any("line" in side for side in sides)
-
-
-# -------------------------------------------------------------------------------------------------------------- helpers
 
 
 def _hanging_point(panel: Panel) -> tuple[float, float, float]:

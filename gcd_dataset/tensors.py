@@ -56,22 +56,10 @@ from gcd_dataset.records import (
 )
 
 __all__ = [
-    "CLOSURES",
-    "EDGE_LABELS",
-    "LINE_ROLES",
-    "PANEL_LABELS",
-    "ClosureColumn",
-    "CurveKind",
-    "EdgeColumn",
-    "LineColumn",
-    "PanelColumn",
-    "PatternTensor",
-    "StitchColumn",
-    "area_centroid",
-    "decode_pattern",
-    "encode_pattern",
+    "CLOSURES", "EDGE_LABELS", "LINE_ROLES", "PANEL_LABELS", "ClosureColumn", "CurveKind", "EdgeColumn", "LineColumn",
+    "PanelColumn", "PatternTensor", "StitchColumn", "area_centroid", "decode_pattern", "encode_pattern",
     "require_closed",
-]
+]  # fmt: skip
 
 PANEL_LABELS = ("", *(role.value for role in PanelRole))
 """Panel labels with the same number in every tensor; further labels are numbered after them."""
@@ -365,9 +353,6 @@ def require_closed(panel: Panel) -> None:
             )
 
 
-# ------------------------------------------------------------------------------------------------------------- encoding
-
-
 def _table(known: tuple[str, ...], labels: Iterable[str]) -> tuple[str, ...]:
     """The known labels, followed by further ones in order of first use."""
     return tuple(dict.fromkeys((*known, *labels)))
@@ -463,9 +448,6 @@ def _quaternion(rotation: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
         ]
     )
     return -quaternion if quaternion[0] < 0 else quaternion
-
-
-# ------------------------------------------------------------------------------------------------------------- decoding
 
 
 def _require_sound(tensor: PatternTensor) -> None:

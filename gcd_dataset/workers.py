@@ -199,11 +199,7 @@ def _exit_with_parent(lifeline: Connection) -> None:
 
 
 def prefetch(
-    items: Iterator[Item],
-    count: int,
-    *,
-    begin: Callable[[], None] | None = None,
-    wait: bool = False,
+    items: Iterator[Item], count: int, *, begin: Callable[[], None] | None = None, wait: bool = False
 ) -> Generator[Item]:
     """The same items, up to ``count`` of them made ahead by a daemon thread.
 

@@ -236,11 +236,7 @@ class WorkStream:
         Urgent work waits for the work before it, and later work for it.
         """
         stream, other = (self._urgent, self._stream) if urgent else (self._stream, self._urgent)
-        with (
-            launch_lock,
-            wp.ScopedStream(stream, sync_enter=False),
-            wp.ScopedAllocator(self._gpu, self._allocator),
-        ):
+        with launch_lock, wp.ScopedStream(stream, sync_enter=False), wp.ScopedAllocator(self._gpu, self._allocator):
             if self._is_urgent is not urgent:
                 stream.wait_stream(other)
                 self._is_urgent = urgent

@@ -15,16 +15,9 @@ from gcd_dataset.outfits import joined
 from gcd_dataset.records import Pattern, Sample
 
 __all__ = [
-    "captioned",
-    "contact_sheet",
-    "design_sheet",
-    "draw_body",
-    "draw_pattern",
-    "jpeg_bytes",
-    "picture_of",
-    "png_bytes",
+    "captioned", "contact_sheet", "design_sheet", "draw_body", "draw_pattern", "jpeg_bytes", "picture_of", "png_bytes",
     "sample_sheet",
-]
+]  # fmt: skip
 
 JPEG_QUALITY = 92
 SUPERSAMPLING = 3  # flat drawings are drawn at this multiple of their size, then scaled down

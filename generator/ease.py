@@ -95,9 +95,6 @@ def _lengths(cut: "_Cloth", planes: Mapping[str, list[Plane]], mesh: BoxMesh, si
     return found
 
 
-# -------------------------------------------------------------------------------------------------------------- planes
-
-
 def planes_of(body: Body, size: Measurements) -> dict[str, list[Plane]]:
     """The planes of each girth, in the order in which they are tried."""
     limbs = limbs_of(body)
@@ -139,9 +136,6 @@ def planes_of(body: Body, size: Measurements) -> dict[str, list[Plane]]:
 def _nearest(planes: list[Plane], wanted: float) -> Plane:
     """The plane in which the tape's length is nearest to a girth [cm]."""
     return planes[int(np.argmin(np.nan_to_num([abs(plane.girth() - wanted) for plane in planes], nan=np.inf)))]
-
-
-# --------------------------------------------------------------------------------------------------------------- cloth
 
 
 class _Cloth:

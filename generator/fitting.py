@@ -7,7 +7,7 @@ import logging
 import math
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import count, repeat
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gcd_dataset import __version__
+from gcd_dataset.bodies import Wearer
 from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError, SpecError
 from gcd_dataset.faults import Severity, require_valid
@@ -237,7 +238,7 @@ def write_graded(graded: Mapping[str, Pattern], folder: Path, *, seam_allowance:
 
 def drape_patterns(
     patterns: Iterable[Pattern | Refusal],
-    wearer: Callable[[bool], tuple[Body, Measurements]],
+    wearer: Wearer,
     *,
     fabric: Fabric = FABRICS[DEFAULT_FABRIC],
     resolution: float = 1.0,
@@ -260,13 +261,7 @@ def drape_patterns(
 
 
 def _work(
-    pattern: Pattern | Refusal,
-    wearer: Callable[[bool], tuple[Body, Measurements]],
-    fabric: Fabric,
-    resolution: float,
-    *,
-    maps: bool,
-    pose: Pose | None,
+    pattern: Pattern | Refusal, wearer: Wearer, fabric: Fabric, resolution: float, *, maps: bool, pose: Pose | None
 ) -> DrapeWork[Fitting | Refusal]:
     """The drape job of a pattern, and the function that makes a ``Fitting`` of the reply; without a job a refusal."""
     prepared = _prepared(pattern, wearer, fabric, resolution)
@@ -286,10 +281,7 @@ def _work(
 
 
 def _prepared(
-    pattern: Pattern | Refusal,
-    wearer: Callable[[bool], tuple[Body, Measurements]],
-    fabric: Fabric,
-    resolution: float,
+    pattern: Pattern | Refusal, wearer: Wearer, fabric: Fabric, resolution: float
 ) -> tuple[Dressing, DrapeJob, float] | Refusal:
     """The pattern as placed, its drape job, and the time to mesh it [s]."""
     if isinstance(pattern, Refusal):
@@ -308,7 +300,7 @@ def _prepared(
 
 def drape_moving(
     patterns: Iterable[Pattern | Refusal],
-    wearer: Callable[[bool], tuple[Body, Measurements]],
+    wearer: Wearer,
     poses: Sequence[Pose],
     *,
     fps: float = FPS,
@@ -343,7 +335,7 @@ def drape_moving(
 
 def drape_together(
     patterns: Sequence[Pattern],
-    wearer: Callable[[bool], tuple[Body, Measurements]],
+    wearer: Wearer,
     *,
     fabric: Fabric = FABRICS[DEFAULT_FABRIC],
     resolution: float = 1.0,
@@ -401,9 +393,7 @@ def drape_together(
     return fittings, Fitting(pattern, body, (), mesh, drape, {}, *seconds, outfit=outfit)
 
 
-def _dress(
-    pattern: Pattern, wearer: Callable[[bool], tuple[Body, Measurements]]
-) -> tuple[Dressing, tuple[Body, Measurements]]:
+def _dress(pattern: Pattern, wearer: Wearer) -> tuple[Dressing, tuple[Body, Measurements]]:
     """The pattern with its panels placed, and the body and measures for which they are placed."""
     legs_apart = has_legs(pattern)
     dressing = dress(pattern, *wearer(legs_apart))

@@ -215,9 +215,6 @@ def _carried(base: Worn, part: Sequence[Draped]) -> list[Float[np.ndarray, "v 3"
     return [carrier.positions(each.worn, each.drape) for each in part]
 
 
-# ------------------------------------------------------------------------------------------------------ material points
-
-
 @dataclass(frozen=True, eq=False)
 class Carrier:
     """The material points of a mesh's vertices, related to the outlines of its panels."""

@@ -122,9 +122,7 @@ def lay_out_nest(patterns: Sequence[Pattern]) -> tuple[LayPlan, ...]:
     return tuple(LayPlan(tuple(_sheet_panels(pattern, shifts)), width, height) for pattern in patterns)
 
 
-def boxes_by_name(
-    boxes: Iterable[tuple[str, Float[np.ndarray, "2 2"]]],
-) -> dict[str, Float[np.ndarray, "2 2"]]:
+def boxes_by_name(boxes: Iterable[tuple[str, Float[np.ndarray, "2 2"]]]) -> dict[str, Float[np.ndarray, "2 2"]]:
     """The box round all boxes of each name; a box is its lower left and its upper right corner."""
     found: dict[str, Float[np.ndarray, "2 2"]] = {}
     for name, box in boxes:

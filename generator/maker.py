@@ -225,9 +225,6 @@ def _unchanged(sample: Sample) -> Sample:
     return sample
 
 
-# ------------------------------------------------------------------------------------------------------------- workers
-
-
 @dataclass(frozen=True)
 class _WorkerShare:
     """The samples of one worker and the options to make them."""

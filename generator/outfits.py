@@ -40,16 +40,9 @@ from gcd_dataset.shards.layout import MOST_GARMENTS
 from gcd_dataset.spec import is_trouser_leg
 
 __all__ = [
-    "OUTFITS",
-    "Outfits",
-    "WornDesign",
-    "count_fault",
-    "is_tucked",
-    "order_fault",
-    "read_outfits",
-    "worn_open",
+    "OUTFITS", "Outfits", "WornDesign", "count_fault", "is_tucked", "order_fault", "read_outfits", "worn_open",
     "worn_outfit",
-]
+]  # fmt: skip
 
 OUTFITS = ("everyday",)
 """The files of outfits in this package."""

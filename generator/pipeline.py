@@ -110,9 +110,6 @@ def grade(design: GarmentDesign, chart: SizeChart, *, name: str = "garment") -> 
     return graded
 
 
-# --------------------------------------------------------------------------------------------------------------- steps
-
-
 @dataclass(frozen=True)
 class DressedWearer:
     """One wearer of a design, with pattern and meshes: ready to drape."""
@@ -434,14 +431,7 @@ def view_requests(design: DressedDesign, config: MakeConfig) -> tuple[ViewReques
         return ()
     seed = picture_seed(design.seed, data_seed=design.seed, recipe=recipe_of(config))
     return tuple(
-        ViewRequest(
-            seed,
-            wearer.index,
-            config.views,
-            config.view_size,
-            config.fabric,
-            stored_body(wearer.worn_shape),
-        )
+        ViewRequest(seed, wearer.index, config.views, config.view_size, config.fabric, stored_body(wearer.worn_shape))
         for wearer in design.dressed
         if not wearer.obstacle and not wearer.unsettled
     )

@@ -81,8 +81,7 @@ class MakeConfig:
     stage: Annotated[LastStage, Option("last step to run")] = "drape"
     resolution: Annotated[float, Option("length of the mesh's edges", unit="cm")] = 1.0
     device: Annotated[
-        str,
-        Option("device for draping and rendering: cpu, cuda:0, cuda:0,1; auto: all GPUs, or the CPU without a GPU"),
+        str, Option("device for draping and rendering: cpu, cuda:0, cuda:0,1; auto: all GPUs, or the CPU without a GPU")
     ] = "auto"
     on_fail: Annotated[
         OnFail,

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from gcd_dataset.bodies import Wearer
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape import drape_batch
 from gcd_dataset.generator.garments import GarmentDesign
@@ -34,7 +35,7 @@ from gcd_dataset.generator.jacobian import (
     nearest_on,
     real_parameters,
 )
-from gcd_dataset.records import Body, Measurements, Outcome
+from gcd_dataset.records import Outcome
 from gcd_dataset.workers import Pool, parallel_map, process_pool
 
 SAMPLES = 1024  # points of the scan that are compared
@@ -53,8 +54,6 @@ INDEPENDENT = 15  # independent distances among those of a drape, since whole fo
 PLANE = 1.5  # spacings of the scan's points within which it is a plane
 AT_ONCE = 8  # designs or drapes of a task of a worker
 
-Wearer = Callable[[bool], tuple[Body, Measurements]]
-"""The body, with straight legs or legs apart, and its measures."""
 Mapped = Callable[[Callable[[Sequence[Any]], list[Any]], Sequence[Any]], list[Any]]
 """A function of parts of a sequence, over the whole sequence, in the workers."""
 Residuals = tuple[Float[np.ndarray, " n"], Float[np.ndarray, "d n"], float]

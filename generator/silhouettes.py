@@ -145,9 +145,6 @@ def _residuals(
         yield np.einsum("ni,ni->n", apart, normals), np.einsum("dni,ni->dn", across[:, own], normals), 1.0
 
 
-# --------------------------------------------------------------------------------------------------------------- files
-
-
 def write_cut_outs(
     folder: Path,
     pictures: UInt8[np.ndarray, "n h w 3"],
@@ -163,9 +160,7 @@ def write_cut_outs(
         write_whole(folder / f"{number}.json", json.dumps(camera).encode())
 
 
-def _read(
-    path: Path,
-) -> tuple[UInt8[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"], Camera]:
+def _read(path: Path) -> tuple[UInt8[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"], Camera]:
     try:
         with open_regular(path) as file, Image.open(file) as image:
             whole = image.convert("RGBA")

@@ -8,17 +8,7 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.sizes import SizeChart
 from gcd_dataset.generator.garments import GarmentDesign
 from gcd_dataset.generator.garments.rules import fit_labels
-from gcd_dataset.records import (
-    POSITION_STEP,
-    BoxMesh,
-    Drape,
-    Fit,
-    FitLabel,
-    Measurements,
-    Outcome,
-    Pattern,
-    as_stored,
-)
+from gcd_dataset.records import POSITION_STEP, BoxMesh, Drape, Fit, FitLabel, Measurements, Outcome, Pattern, as_stored
 
 
 @dataclass(frozen=True)

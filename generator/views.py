@@ -166,35 +166,17 @@ def _numbers(values: Sequence[Any] | np.ndarray) -> Any:
     return np.asarray(values, float).tolist()
 
 
-MISSING_VIEW = StoredView(
-    b"",
-    {
-        "camera": {
-            "k": np.zeros((3, 3)).tolist(),
-            "rt": np.zeros((3, 4)).tolist(),
-            "focal_mm": 0.0,
-            "size": 0,
-            "convention": CONVENTION,
-        },
-        "light": {
-            **{key: [0.0, 0.0, 0.0] for key in ("key_direction", "key", "fill_direction", "fill")},
-            **dict.fromkeys(("key_size", "sky", "exposure"), 0.0),
-        },
-        "place": {"kind": "", "colours": [[0.0, 0.0, 0.0]], "light": [[0.0, 0.0, 0.0]]},
-        "appearance": {
-            "cloths": [
-                {
-                    **dict.fromkeys(("look", "print", "weave"), ""),
-                    "colours": [[0.0, 0.0, 0.0]],
-                    **dict.fromkeys(("period_cm", "translucency"), 0.0),
-                }
-            ],
-            "cloth_of_panel": [0],
-            "skin_tone": 0,
-            "skin": [0.0, 0.0, 0.0],
-            "hair": "",
-            "hair_colour": [0.0, 0.0, 0.0],
-        },
+NO_COLOUR = [0.0, 0.0, 0.0]
+_LIGHT = dict.fromkeys(("key_direction", "key", "fill_direction", "fill"), NO_COLOUR)
+_CLOTH = dict.fromkeys(("look", "print", "weave"), "") | {"colours": [NO_COLOUR], "period_cm": 0.0, "translucency": 0.0}
+_K, _RT = np.zeros((3, 3)).tolist(), np.zeros((3, 4)).tolist()
+MISSING_VIEW = StoredView(b"", {
+    "camera": {"k": _K, "rt": _RT, "focal_mm": 0.0, "size": 0, "convention": CONVENTION},
+    "light": _LIGHT | dict.fromkeys(("key_size", "sky", "exposure"), 0.0),
+    "place": {"kind": "", "colours": [NO_COLOUR], "light": [NO_COLOUR]},
+    "appearance": {
+        "cloths": [_CLOTH], "cloth_of_panel": [0], "skin_tone": 0, "skin": NO_COLOUR, "hair": "",
+        "hair_colour": NO_COLOUR,
     },
-)
+})  # fmt: skip
 """The view of a diverged drape: no picture, zeros. No list is empty: ``datasets`` infers types from first samples."""

@@ -612,8 +612,6 @@ def _numpy_has(dtype: torch.dtype) -> bool:
     return True
 
 
-# ------------------------------------------------------------------------------------------------------------- buffers
-
 SMALL = 1 << 16  # bytes: smaller allocations usually reuse touched pages anyway
 MOST_KEPT = 1 << 26  # bytes of buffers kept, of each size
 MOST_TRIED = 16  # buffers of a size that are looked at

@@ -48,11 +48,7 @@ class Bodies(Dataset[BodyFields], ABC):
     """Names of the entries of ``measures``."""
 
     def __init__(
-        self,
-        fields: Iterable[str] | None,
-        transform: Transform | None,
-        *,
-        dtype: torch.dtype | None = torch.float32,
+        self, fields: Iterable[str] | None, transform: Transform | None, *, dtype: torch.dtype | None = torch.float32
     ) -> None:
         self.fields = select_fields(fields, FIELDS)
         self.transform = None if transform is None else require_callable("transform", transform)

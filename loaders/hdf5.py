@@ -115,8 +115,6 @@ class Hdf5Garments(Garments):
     def _key(self, position: int) -> str:
         return key_of(int(self._numbers[position]))
 
-    # ---------------------------------------------------------------------------------------------------------- file
-
     def _checked(self, file: h5py.File) -> dict[str, np.ndarray]:
         """The fields of the file, and their pointers. Raises ``ShardError``."""
         form, schema, count = (file.attrs.get(name) for name in ("format", "schema", "count"))

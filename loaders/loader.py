@@ -215,13 +215,7 @@ class Batches:
     """The batches of an ``ElasticSampler``'s indices; also the ``batch_sampler`` of their loader."""
 
     def __init__(
-        self,
-        sampler: ElasticSampler,
-        maker: "BatchMaker",
-        batch_size: int,
-        *,
-        drop_last: bool,
-        num_workers: int,
+        self, sampler: ElasticSampler, maker: "BatchMaker", batch_size: int, *, drop_last: bool, num_workers: int
     ) -> None:
         self._sampler, self._order, self._batch_size, self._drop_last = sampler, sampler.order, batch_size, drop_last
         self._maker, self._num_workers, self._reads_only = maker, num_workers, maker.reads_only

@@ -1,7 +1,6 @@
 """The command line: files on disk, output and exit codes."""
 
 import contextlib
-import errno
 import importlib
 import io
 import json
@@ -10,7 +9,6 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -74,9 +72,9 @@ def exit_code(arguments: list[str]) -> int:
 
 def test_generate_makes_a_data_set_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "data"
-    assert main(["generate", str(out), "--count", "2", "--seed", "3", *FLAT]) == 0
+    assert main(["generate", str(out), "--count", "5", "--seed", "3", "--job", "0/2", *FLAT]) == 0
     assert main(["generate", str(out), "--count", "5", "--seed", "3", *FLAT]) == 0
-    assert "5 garments, 3 of them made now" in capsys.readouterr().out
+    assert "5 garments, 2 of them made now" in capsys.readouterr().out
     at_once = tmp_path / "at_once"
     assert main(["generate", str(at_once), "--count", "5", "--seed", "3", *FLAT]) == 0
     assert contents(out) == contents(at_once)
@@ -95,41 +93,12 @@ def test_captions_are_written_on_request_and_printed(tmp_path: Path, capsys: pyt
     assert "made with captions=True, asked for captions=None" in capsys.readouterr().err
 
 
-def test_a_second_sigterm_is_ignored_and_handlers_are_restored() -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(Stopped) as caught, interrupts_after_imports():
-        try:
-            os.kill(os.getpid(), signal.SIGTERM)
-        finally:
-            os.kill(os.getpid(), signal.SIGTERM)
-    assert caught.value.exit_code == 143
-    assert signal.getsignal(signal.SIGTERM) == before
-
-
 def test_a_signal_leaves_no_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "ftruncate", lambda *_: os.kill(os.getpid(), signal.SIGTERM))  # the draft is new
     with pytest.raises(Stopped), interrupts_after_imports():
         write_whole(tmp_path / "a.json", b"{}")
         time.sleep(60)
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
-
-
-def test_a_full_disk_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["generate", str(tmp_path), "--count", "2", *FLAT]) == 0
-    capsys.readouterr()
-
-    def full(*_: object) -> int:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "pwrite", full)
-        assert main(["generate", str(tmp_path), "--count", "9", *FLAT]) == 1
-    assert "No space left on device" in one_line(capsys.readouterr().err)
-    assert main(["generate", str(tmp_path), "--count", "3", *FLAT]) == 0
-    assert "3 garments, 1 of them made now" in capsys.readouterr().out
-    assert len(GarmentDataset(tmp_path)) == 3
 
 
 def test_options_may_come_from_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -345,27 +314,6 @@ def test_drape_cuts_a_design_for_a_size_and_tells_how_it_fits(
     assert "--sizes needs the size to cut: give --cut-for SIZE" in one_line(capsys.readouterr().err)
 
 
-def test_fit_reads_the_mesh_of_a_body_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """For trousers too, whose bodies of the shape space stand with their legs apart."""
-    (tmp_path / "shorts.yaml").write_text("meta: {bottom: Pants}\npants: {length: 0.2}\n")
-    reads, worn = [], []
-
-    def read(*given: Any, **options: Any) -> Any:
-        reads.append(given)
-        return named_body("male")[:2]
-
-    def draped(patterns: Any, wearer: Any, **options: Any) -> Iterator[Any]:
-        worn.extend([wearer(False), wearer(True)])
-        return iter(())
-
-    monkeypatch.setattr("gcd_dataset.generator.body.by_name.read_body", read)
-    monkeypatch.setattr("gcd_dataset.generator.fitting.drape_patterns", draped)
-    (tmp_path / "scan.obj").touch()
-    words = ["fit", tmp_path / "shorts.yaml", "--body", tmp_path / "scan.obj", "--out", tmp_path / "out", "--quiet"]
-    assert main(list(map(str, words))) == 0
-    assert len(reads) == 1 and worn[0] == worn[1]
-
-
 def test_a_garment_that_slides_off_ends_with_1(
     draped: Draped, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -442,6 +390,9 @@ def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: p
         page = tmp_path / "page.html"
         assert main(["show", str(what), "--html", str(page)]) == 0
         assert page.read_text("utf-8").count("data-panel=") >= 2
+    assert main(["show", str(spec), "--body", "male", "--html", str(tmp_path / "male.html")]) == 0
+    assert main(["show", str(spec), "--html", str(page)]) == 0
+    assert page.read_bytes() != (tmp_path / "male.html").read_bytes()
     capsys.readouterr()
     assert main(["show", str(tmp_path / "data"), "--index", "5", "--png", str(tmp_path / "x.png")]) == 1
     assert "garment 5 of 1" in one_line(capsys.readouterr().err)

@@ -213,11 +213,12 @@ BODIES = ["--stage", "body", "--quiet"]
 
 def test_a_stopped_run_resumes_to_the_same_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, at_once = tmp_path / "data", tmp_path / "at_once"
-    for folder, count in ((out, "1"), (out, "3"), (at_once, "3"), (at_once, "3")):
-        options = ["--count", count, "--seed", "3", "--workers", "0"]
-        assert main(["generate", str(folder), *options, *BODIES]) == 0
-    assert [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()] == [
-        "1 bodies in two poses, 1 of them made now",
+    options = ["--count", "3", "--seed", "3", "--workers", "0", *BODIES]
+    for folder, more in ((out, ["--job", "1/3"]), (out, []), (at_once, []), (at_once, [])):
+        assert main(["generate", str(folder), *options, *more]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert [line.partition(": ")[2] for line in printed if "made now" in line] == [
+        "job 1/3: 1 bodies in two poses, 1 of them made now",
         "3 bodies in two poses, 2 of them made now",
         "3 bodies in two poses, 3 of them made now",
         "3 bodies in two poses, 0 of them made now",

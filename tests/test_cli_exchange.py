@@ -60,9 +60,6 @@ def run(*words: object) -> int:
     return main([str(word) for word in words])
 
 
-# ------------------------------------------------------------------------------------------------------------- convert
-
-
 def test_converted_shards_equal_the_published_files(published: Path, converted: Path) -> None:
     for split in ("train", "test"):
         before, after = PublishedGarmentCodeData(published, split), GarmentDataset(converted, split)
@@ -91,13 +88,13 @@ def test_a_stopped_conversion_goes_on_to_the_same_bytes(published: Path, convert
     assert contents(tmp_path / "pieces") == contents(converted)
 
 
-def test_garments_downloaded_later_are_added_under_their_own_numbers(
-    published: Path, converted: Path, tmp_path: Path
+def test_a_conversion_of_more_garments_needs_another_folder(
+    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("convert", published, tmp_path / "out", "--quiet", "--bodies", "random") == 0
     assert [item["meta"]["index"] for item in GarmentDataset(tmp_path / "out", fields="meta")] == [1, 3]
-    assert run("convert", published, tmp_path / "out", "--quiet") == 0
-    assert contents(tmp_path / "out") == contents(converted)
+    assert run("convert", published, tmp_path / "out", "--quiet") == 2
+    assert "asked for 6: give the same number, or another folder" in capsys.readouterr().err
 
 
 def test_as_many_garments_on_other_bodies_are_another_data_set(
@@ -129,9 +126,6 @@ def test_a_folder_of_another_data_set_is_not_added_to(
     fill(tmp_path, range(2))
     assert run("convert", published, tmp_path, "--quiet") == 2
     assert "use the same or another folder" in capsys.readouterr().err
-
-
-# -------------------------------------------------------------------------------------------------------------- export
 
 
 def test_shards_to_the_published_layout_and_back(published: Path, exported: Path) -> None:
@@ -190,11 +184,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_stopped_export_goes_on_to_the_same_bytes(
-    converted: Path,
-    exported: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    converted: Path, exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     export = ["export", converted, "--layout", "published", tmp_path / "pieces", "--quiet"]
     with monkeypatch.context() as full:
@@ -260,8 +250,8 @@ def test_a_stopped_export_does_not_go_on_with_other_garments(
     assert "another process is exporting" in capsys.readouterr().err
     stopped.close()
     before = tree(out)
-    assert run("convert", published, shards, "--quiet") == 0
-    assert run("export", shards, "--layout", "published", out) == 2
+    assert run("convert", published, tmp_path / "more", "--quiet") == 0
+    assert run("export", tmp_path / "more", "--layout", "published", out) == 2
     assert f"{out}: begun with other garments" in capsys.readouterr().err
     assert tree(out) == before
 

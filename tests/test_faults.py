@@ -168,9 +168,7 @@ BROKEN: dict[Rule, tuple[Callable[[], Pattern], str, int | None, str]] = {
     ),
     Rule.SEWN_CROSSWISE: (
         lambda: Pattern(
-            "p",
-            (hung("front", 2.0), hung("back", -2.0)),
-            (Seam(EdgeRef("front", 1), EdgeRef("back", 1)),),
+            "p", (hung("front", 2.0), hung("back", -2.0)), (Seam(EdgeRef("front", 1), EdgeRef("back", 1)),)
         ),
         "front",
         1,
@@ -509,18 +507,6 @@ def test_the_broad_phase_misses_no_crossing(loop: list[tuple[float, float, Curve
         assert np.abs(met - corner[:1]).max(initial=0) < 1e-9  # rounding may split it into two points
 
 
-def test_a_common_outline_is_not_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A shirt's front: hem, side, armhole, shoulder, neckline, middle."""
-
-    def refuse(*_: object) -> None:
-        raise AssertionError("sampled")
-
-    monkeypatch.setattr(crossings, "_polyline", refuse)
-    corners = [(0.0, 0.0), (26.0, 0.0), (27.0, 36.0), (18.0, 57.0), (8.0, 60.0), (0.0, 50.0)]
-    bent: dict[int, Curve] = {2: Cubic((0.3, 0.25), (0.7, 0.3)), 4: Arc(11.0, False, False)}
-    assert found(cornered(corners, bent)) == []
-
-
 def test_edges_that_run_back_over_themselves_and_each_other() -> None:
     there_and_back = [(0.0, 0.0), (10.0, 0.0), (4.0, 0.0), (4.0, 5.0)]
     assert found(cornered(there_and_back)) == [(0, 1), (0, 2)]
@@ -538,46 +524,6 @@ def test_a_large_arc_is_tested_beyond_its_chord(right: bool) -> None:
     """A keyhole: a large arc, 10 cm across, over a 2 cm gap; it clears the cornered on one side only."""
     corners = [(0.0, 0.0), (4.0, 0.0), (6.0, 0.0), (10.0, 0.0), (10.0, 4.0), (0.0, 4.0)]
     assert (found(cornered(corners, {1: Arc(5.0, True, right)})) == []) is right
-
-
-def test_the_hull_of_a_line_lies_on_the_line() -> None:
-    (hull, *_) = edge_hulls(cornered([(0.0, 0.0), (9.0, 3.0), (0.0, 9.0)]))
-    assert hull == pytest.approx(np.array([0, 3 + 1j, 6 + 2j, 9 + 3j]))
-
-
-@given(st.lists(loops, min_size=2, max_size=4))
-def test_a_batch_of_panels_gives_the_same_candidates_as_each_panel_alone(
-    drawn_loops: list[list[tuple[float, float, Curve]]],
-) -> None:
-    shapes = [bent_panel(loop) for loop in drawn_loops]
-    hulls = [edge_hulls(shape) for shape in shapes]
-    alone = [candidates([hull]).get(0, ([], [])) for hull in hulls]
-    together = candidates(hulls)
-    assert [together.get(number, ([], [])) for number in range(len(shapes))] == alone
-
-
-def candidates(hulls: list[np.ndarray]) -> dict[int, tuple[list[int], list[list[int]]]]:
-    """Panel number to the candidates of the broad phase: single edges, and pairs of edges."""
-    return {number: (singles.tolist(), pairs.tolist()) for number, singles, pairs in crossings._broad_phase(hulls)}
-
-
-@given(st.lists(loops, min_size=1, max_size=3), st.sampled_from([1, 12]))
-def test_a_sweep_finds_the_same_pairs_as_all_comparisons(
-    drawn_loops: list[list[tuple[float, float, Curve]]], copies: int
-) -> None:
-    """Each outline alone, and repeated twelve times in one loop, where edges coincide; in chunks of a few pairs."""
-    hulls = [edge_hulls(bent_panel(loop * copies)) for loop in drawn_loops]
-    at_once = candidates(hulls)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(crossings, "AT_ONCE", 50)
-        patch.setattr(crossings, "FEW", 0)
-        assert candidates(hulls) == at_once
-        patch.setattr(crossings, "FEW", 10**6)
-        assert candidates(hulls) == at_once
-    for hull in hulls:
-        one, other = np.triu_indices(len(hull), k=1)
-        near = ~crossings._boxes_apart(hull, one, other)
-        assert crossings._sweep(hull).T.tolist() == np.stack([one[near], other[near]], axis=1).tolist()
 
 
 def test_two_thousand_edges_take_little_memory() -> None:

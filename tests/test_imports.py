@@ -94,18 +94,7 @@ USERS = {
     "fsspec": ("hub/", "making/"),
 }
 """Library to the only files that import it."""
-LOWER = (
-    "check",
-    "cli",
-    "exports",
-    "generator",
-    "hub",
-    "loaders",
-    "making",
-    "metrics",
-    "release",
-    "scoring",
-)
+LOWER = ("check", "cli", "exports", "generator", "hub", "loaders", "making", "metrics", "release", "scoring")
 BELOW = {
     (*LOWER, "shards", "viewer"): ("gcd_dataset.mcp",),
     ("shards", "release", "hub", "metrics"): ("gcd_dataset.generator", "gcd_dataset.loaders"),

@@ -105,9 +105,6 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-# ------------------------------------------------------------------------------------------------------- the function
-
-
 @hostile
 def test_a_hostile_name_is_refused_or_made_one_component(name: str) -> None:
     with pytest.raises(ShardError, match=r"manifest: split: .* cannot be a file's name: use letters") as caught:
@@ -131,9 +128,6 @@ def test_names_that_look_the_same_stay_different() -> None:
 def test_a_name_must_be_text(name: Any) -> None:
     with pytest.raises(ShardError, match="cannot be a file's name"):
         require_name(name, "here")
-
-
-# -------------------------------------------------------------------------------------------------------- our formats
 
 
 @few_hostile
@@ -161,9 +155,6 @@ def manifest_with(shards: Path, name: str) -> bytes:
     assert manifest is not None
     record = manifest.splits["train"]
     return replace(manifest, splits={"train": record, name: replace(record, shards=())}).to_bytes()
-
-
-# ------------------------------------------------------------------------------------------------------------ servers
 
 
 @few_hostile
@@ -207,9 +198,6 @@ def test_the_folder_that_a_download_makes(
     monkeypatch.chdir(victims)
     hub.static = {f"{name}/{path}": data for path, data in read_folder(shards).items()}
     assert main(["download", f"{hub.endpoint}/files/{name}", "--quiet"]) in (0, 1, 2)
-
-
-# ------------------------------------------------------------------------------------------------------ foreign names
 
 
 @hostile
@@ -278,9 +266,6 @@ def test_plain_names_are_ascii_and_different_in_any_order(seed: int) -> None:
     assert len({re.sub("[^A-Z0-9]", "_", name.upper()) for name in plain}) == len(PIECES)
     assert all(name.isascii() and 0 < len(name) <= 12 for name in plain)
     assert all(plain[names.index(name)] == name for name in ("piece_1", "piece_2"))
-
-
-# -------------------------------------------------------------------------------------------------------------- links
 
 
 def test_a_link_in_the_place_of_a_draft_is_not_followed(hub: Hub, victims: Path, shards: Path) -> None:

@@ -101,9 +101,6 @@ class Word(str):
     __repr__ = str.__str__
 
 
-# --------------------------------------------------------------------------------------------------------- command line
-
-
 def command_lines() -> Iterator[str]:
     """The options and arguments of each verb of ``gcd``, and of its actions."""
     verbs = list(_parser()[1].items())

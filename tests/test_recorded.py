@@ -69,9 +69,6 @@ def fields_of(sample: Sample) -> Item:
     return {name: value for name, value in fields.items() if value is not None}
 
 
-# ---------------------------------------------------------------------------------------------------------- comparison
-
-
 def differences(recorded: Item, made: Item) -> Iterator[str]:
     """The fields of ``made`` that differ from the recorded ones, each with its fault."""
     old, new = canonical(recorded), canonical(made)

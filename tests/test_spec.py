@@ -321,12 +321,8 @@ BROKEN: dict[tuple[str | int, ...], list[tuple[Any, str]]] = {
     ("front", "vertices", 1): [
         (["20", 0], 'panel front: vertex 1 must be 2 numbers, found ["20", 0]'),
         ([10**400, 0], "panel front: vertex 1 must be 2 numbers of at most 1e+12, found [1000000"),
-        (nested(900), "more than 64 levels deep: flatten it"),
     ],
-    ("front", "translation"): [
-        ([0, 0], "panel front: translation must be 3 numbers"),
-        ([0, 1e300, 0], "panel front: translation must be 3 numbers of at most 1e+12, found [0, 1e+300, 0]"),
-    ],
+    ("front", "translation"): [([0, 0], "panel front: translation must be 3 numbers")],
     ("front", "edges", 0, "endpoints"): [
         ([0, 10**400], "panel front, edge 0: endpoint must be a whole number of at most 1e+12, found 1000000")
     ],

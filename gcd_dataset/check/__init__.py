@@ -5,7 +5,7 @@
 ``checks.py``       every fault, with its effect on a training and its remedy, in order of harm
 ``examination.py``  reads every garment once, then compares them
 ``garments.py``     faults of one garment: NaN, units, axes, winding, seams, missing arrays, failed drape
-``sets.py``         faults of all garments together: shares of kinds, repeated designs, bodies and patterns
+``sets.py``         faults of all garments together: shares of kinds, and designs, bodies and patterns of two splits
 ``files.py``        damaged and unlisted files, shards without manifest, published files without garment
 ``report.py``       the findings as text and JSON
 ``summary.py``      counts, shares and plots of a data set

@@ -50,7 +50,7 @@ LEAKED_DESIGN = Check(
 )
 LEAKED_PATTERN = Check(
     "leaked-pattern",
-    "have a pattern that is in another split too, up to 2 mm",
+    "have a pattern that is in another split too",
     "a model recalls the pattern instead of reconstructing it: test scores are too good",
     "remove them from the test split, or generate one data set and let gcd publish divide it",
 )
@@ -132,13 +132,6 @@ FAILED_DRAPE = Check(
     "shapes that no cloth has are learned as truth",
     'leave them out: GarmentDataset(quality="paper"); generate with --on-fail retry',
 )
-DUPLICATES = Check(
-    "duplicates",
-    "repeat the pattern of an earlier garment of their split, up to 2 mm",
-    "an epoch repeats them: they count several times in the loss, and the set is smaller than it looks",
-    "generate with another seed or more varied designs, or remove them",
-    Harm.WARNING,
-)
 ORPHANS = Check(
     "orphans",
     "garments or bodies are outside of every split",
@@ -174,7 +167,7 @@ FEW_FIELDS = Check(
 
 CHECKS = (
     UNREADABLE, INCOMPLETE, LEAKED_DESIGN, LEAKED_PATTERN, LEAKED_BODY, NOT_FINITE, UNITS, AXES, WINDING, MIRRORED,
-    LOOPS, UNSEWABLE, REFERENCES, OPEN_SEAMS, SEAM_LENGTHS, MISSING, FAILED_DRAPE, DUPLICATES, ORPHANS, BODILESS,
+    LOOPS, UNSEWABLE, REFERENCES, OPEN_SEAMS, SEAM_LENGTHS, MISSING, FAILED_DRAPE, ORPHANS, BODILESS,
     SKEWED, FEW_FIELDS,
 )  # fmt: skip
 """All checks, the most harmful first."""

@@ -13,7 +13,7 @@ from gcd_dataset.check.checks import Check, Harm
 from gcd_dataset.check.files import published_faults, set_faults
 from gcd_dataset.check.garments import FIELDS_READ, CheckedGarment, Fault, item_faults
 from gcd_dataset.check.report import Report, SplitSummary, Tally
-from gcd_dataset.check.sets import DIMENSIONS, NEAR, Census, SplitCensus, difference, near_pairs
+from gcd_dataset.check.sets import Census, SplitCensus
 from gcd_dataset.errors import ConfigError, GcdError, RemoteError, ShardError
 from gcd_dataset.filekinds import is_published
 from gcd_dataset.files import user_path
@@ -26,13 +26,12 @@ from gcd_dataset.shards.store import FolderStore
 
 QUICK = 200  # garments of each split that are read with ``quick``
 BATCH = 16  # garments in one read, in parallel from a server
-MOST_COMPARED = 5000  # candidates for near duplicates that are read again
 FEW_FAILED = 0.02  # share of failed drapes that a training bears
 FEW_LEAKED = 0.01  # share of patterns known from another split that moves a score less than its confidence interval
-FEW_REPEATED = 0.05  # share of repeated patterns above which an epoch is visibly smaller
 HDF5 = (".h5", ".hdf5")
 FILES = "files"
 SPLITS = ("train", "validation", "test")
+LEAKS = {"design": checks.LEAKED_DESIGN, "pattern": checks.LEAKED_PATTERN, "body": checks.LEAKED_BODY}
 
 
 def examine(
@@ -47,12 +46,12 @@ def examine(
 ) -> Report:
     """Examine a data set: shards in a folder, at a URL or on the Hub, an HDF5 file, or GarmentCodeData as published.
 
-    Garments are read one after another; 130 bytes of each are kept, to find designs, bodies and patterns that occur
-    twice. ``quick`` reads at most 200 garments of each split, evenly spaced; file names, tar headers and index are
-    examined in full. Of a set of bodies the files alone are examined. ``every_byte`` compares the hashes of all shards
-    and members, and ``recipe``, a name or a file, the samples with that recipe: both of a folder of shards.
-    ``endpoint``: server of the Hub. ``cache_dir``: folder for data from a server, by default ``~/.cache/gcd_dataset``,
-    and for unpacked published archives, by default beside them.
+    Garments are read one after another; hashes of each are kept, to find designs, bodies and patterns of two splits.
+    ``quick`` reads at most 200 garments of each split, evenly spaced; file names, tar headers and index are examined in
+    full. Of a set of bodies the files alone are examined. ``every_byte`` compares the hashes of all shards and members,
+    and ``recipe``, a name or a file, the samples with that recipe: both of a folder of shards. ``endpoint``: server of
+    the Hub. ``cache_dir``: folder for data from a server, by default ``~/.cache/gcd_dataset``, and for unpacked
+    published archives, by default beside them.
 
     >>> from gcd_dataset.check import examine
     >>> [finding.check.name for finding in examine("shards").harmful]  # doctest: +SKIP
@@ -77,9 +76,6 @@ def examine(
         faults += recipe_faults(opened.folder, find_recipe(recipe))
     report = _Examination(opened, quick, on_progress).report()
     return replace(report, faults=tuple(faults), seconds=time.perf_counter() - begun)
-
-
-# ------------------------------------------------------------------------------------------------------------- sources
 
 
 @dataclass(frozen=True)
@@ -194,9 +190,6 @@ def _examined(known: Sequence[str] | None) -> tuple[str, ...]:
     return tuple(name for name in known if split_worn(name)[1] in (*FIELDS_READ, *ARRAYS[MAPS]))
 
 
-# -------------------------------------------------------------------------------------------------------- examination
-
-
 class _Examination:
     """Reads every garment once, then compares them."""
 
@@ -211,7 +204,6 @@ class _Examination:
         for split in self.source.splits:
             self._read(split)
         self._compare_splits()
-        self._compare_patterns()
         for name, census in self.census.splits.items():
             self._summarise(name, census)
         self._check_files()
@@ -248,11 +240,9 @@ class _Examination:
             key = split.key(position) if self.tally.wants_example(check, split.name) else ""
             self.tally.add(check, split.name, key, list(dict.fromkeys(texts)))
 
-    # -------------------------------------------------------------------------------------------------- whole splits
-
     def _compare_splits(self) -> None:
-        """Designs and bodies that splits share, and shares that differ."""
-        for name, check in (("design", checks.LEAKED_DESIGN), ("body", checks.LEAKED_BODY)):
+        """Designs, patterns and bodies that splits share, and shares that differ."""
+        for name, check in LEAKS.items():
             for first, second, rows in self.census.shared(name):
                 for row in rows.tolist():
                     key = self._key(second, row) if self.tally.wants_example(check, second) else ""
@@ -260,44 +250,11 @@ class _Examination:
                 if name == "body" and self.source.published is not None:
                     # The official split is by design; its random bodies are drawn from the same 5,000 people.
                     self.harms[check, second] = Harm.WARNING
+        for name, census in self.census.splits.items():
+            if self.tally.count(checks.LEAKED_PATTERN, name) <= FEW_LEAKED * len(census):
+                self.harms[checks.LEAKED_PATTERN, name] = Harm.WARNING
         for split, text in self.census.unlike():
             self.tally.add(checks.SKEWED, split, "", [text])
-
-    def _compare_patterns(self) -> None:
-        """Equal and nearly equal patterns, within a split and across splits."""
-        names = [name for name in self.census.splits if name != FAILED]
-        parts = [self.census.splits[name] for name in names]
-        split = np.repeat(np.arange(len(names)), [len(part) for part in parts])
-        row = np.concatenate([np.zeros(0, int), *(np.arange(len(part)) for part in parts)])
-        if not len(row):
-            return
-        structure, exact = (
-            np.concatenate([np.frombuffer(getattr(part, name), np.int64) for part in parts])
-            for name in ("structure", "exact")
-        )
-        projected = [np.frombuffer(part.projected, np.float32).reshape(-1, DIMENSIONS) for part in parts]
-        known = np.flatnonzero(structure)
-        equal, candidates = near_pairs(structure[known], exact[known], np.concatenate(projected)[known])
-        pairs = [tuple(known[pair].tolist()) for pair in equal]
-        for one, two in known[candidates[:MOST_COMPARED]].tolist():
-            tensors = [self._tensor(names[split[at]], int(row[at])) for at in (one, two)]
-            if None not in tensors and difference(*tensors) < NEAR:
-                pairs.append((one, two))
-        seen: set[tuple[Check, int]] = set()
-        for one, two in sorted(pairs, key=lambda pair: pair[1]):
-            first, second = names[split[one]], names[split[two]]
-            check = checks.DUPLICATES if first == second else checks.LEAKED_PATTERN
-            if (check, two) not in seen:
-                seen.add((check, two))
-                key = ""
-                if self.tally.wants_example(check, second):
-                    key = f"{self._key(second, int(row[two]))} as {self._key(first, int(row[one]))}"
-                self.tally.add(check, second, key, [] if first == second else [f"also in {first}"])
-        for number, name in enumerate(names):
-            if self.tally.count(checks.LEAKED_PATTERN, name) <= FEW_LEAKED * len(parts[number]):
-                self.harms[checks.LEAKED_PATTERN, name] = Harm.WARNING
-            if self.tally.count(checks.DUPLICATES, name) > FEW_REPEATED * len(parts[number]):
-                self.harms[checks.DUPLICATES, name] = Harm.HARMFUL
 
     def _summarise(self, split: str, census: SplitCensus) -> None:
         """Faults that show in counts: arrays that some garments lack, failed drapes, one kind for all."""
@@ -325,18 +282,11 @@ class _Examination:
         whole = 0 if split.garments is None else len(split.garments)
         return SplitSummary(split.name, whole, len(census), shares, census.medians())
 
-    # -------------------------------------------------------------------------------------------------------- look-up
-
     def _split(self, name: str) -> _Split:
         return next(split for split in self.source.splits if split.name == name)
 
     def _key(self, split: str, row: int) -> str:
         return self._split(split).key(self.census.splits[split].position[row])
-
-    def _tensor(self, split: str, row: int) -> Any:
-        garments = self._split(split).garments
-        assert garments is not None
-        return CheckedGarment.joined(garments[self.census.splits[split].position[row]]).tensor
 
 
 def _positions(count: int, most: int | None) -> list[int]:

@@ -149,9 +149,6 @@ def layout_of(record: SplitRecord) -> Layout:
     return BODIES if record.plan.kind == BODIES.kind else GARMENTS
 
 
-# ----------------------------------------------------------------------------------------------------------- published
-
-
 def published_faults(
     batches: PublishedBatches, splits: Sequence[PublishedGarments], wearers: set[str] | None
 ) -> Iterator[FileFault]:

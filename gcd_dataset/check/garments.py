@@ -253,9 +253,6 @@ def _pattern_faults(garment: CheckedGarment, pattern: Pattern) -> Iterator[Fault
     yield from ((checks.UNSEWABLE, fault.rule.value) for fault in others if fault.severity is Severity.ERROR)
 
 
-# ------------------------------------------------------------------------------------------------------ units and axes
-
-
 def _unit_faults(garment: CheckedGarment) -> Iterator[str]:
     placed = garment.placed
     if placed is not None:
@@ -295,8 +292,6 @@ def _axis_faults(garment: CheckedGarment) -> Iterator[str]:
     if not LOW < y < HIGH or abs(x) > ASIDE or abs(z) > ASIDE:
         yield "y is not up: the garment is not above the floor" if abs(z) > ASIDE else "the garment is off the body"
 
-
-# --------------------------------------------------------------------------------------------------- winding and facing
 
 MIXED = 0.02  # share of a panel's area whose triangles may wind against the rest: slivers of a bad mesh
 INWARD = -0.2  # outwardness of a garment that is inside out; garments reach 0.5 to 1
@@ -423,8 +418,6 @@ def outwardness(placed: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"])
     total = float(weight @ np.linalg.norm(away, axis=1))
     return float((area * away).sum()) / total if total > 0 else 0.0
 
-
-# ---------------------------------------------------------------------------------------------------------------- seams
 
 OPEN = 0.2  # share of a seam's mesh edges on the border of the mesh, above which it is open
 RATIO = 0.01  # relative error of a stored gather ratio

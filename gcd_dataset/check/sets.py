@@ -1,15 +1,14 @@
-"""Faults of all garments together: shares of kinds, designs and bodies that splits share, repeated patterns."""
+"""Faults of all garments together: shares of kinds, and designs, bodies and patterns that splits share."""
 
 import hashlib
 import json
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Int
 
 from gcd_dataset.check.garments import ARRAYS, CheckedGarment
 from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor
@@ -19,6 +18,10 @@ COMMON_BODIES = ("neutral", "female", "male", "mean_all", "")
 DOMINANT, FEWEST = 0.9, 20  # share of one kind, among at least so many garments
 DISTANCE = 0.1  # total variation between the shares of two splits, beyond that of chance
 KINDS = ("upper", "bottom")
+STEP = 1e-3  # cm: patterns that round to the same numbers are equal
+PANEL_COLUMNS = [PanelColumn.X, PanelColumn.Y, PanelColumn.Z]
+EDGE_COLUMNS = [*range(EdgeColumn.START_X, EdgeColumn.START_Y + 1)]
+EDGE_COLUMNS += range(EdgeColumn.CONTROL0_X, EdgeColumn.CONTROL1_Y + 1)
 OPTIONAL = ("stitches", "closures", "lines", "seams")  # a garment of one piece may have no seam
 
 
@@ -26,8 +29,7 @@ class SplitCensus:
     """The garments of one split, a hundred bytes for each."""
 
     def __init__(self) -> None:
-        self.position, self.design, self.body = array("q"), array("q"), array("q")
-        self.structure, self.exact, self.projected = array("q"), array("q"), array("f")
+        self.position, self.design, self.body, self.pattern = (array("q") for _ in range(4))
         self.shares: dict[str, Counter[str]] = {name: Counter() for name in ("grade", "outcome", *KINDS)}
         self.sizes: dict[str, array[int]] = {name: array("q") for name in ("panels", "stitches", "verts")}
         self._empty: Counter[tuple[str, ...]] = Counter()
@@ -43,11 +45,7 @@ class SplitCensus:
         self.position.append(position)
         self.design.append(_hash(json.dumps(garment.design, sort_keys=True).encode()) if garment.design else 0)
         self.body.append(_body_hash(garment))
-        tensor = garment.tensor
-        structure, exact, projected = (0, 0, np.zeros(DIMENSIONS)) if tensor is None else fingerprint(tensor)
-        self.structure.append(structure)
-        self.exact.append(exact)
-        self.projected.extend(projected.tolist())
+        self.pattern.append(0 if garment.tensor is None else _pattern_hash(garment.tensor))
         for name, value in _kinds(garment).items():
             self.shares[name][value] += 1
         for name, sizes in self.sizes.items():
@@ -86,7 +84,7 @@ class Census:
         self.splits: dict[str, SplitCensus] = {}
 
     def shared(self, name: str) -> Iterator[tuple[str, str, Int[np.ndarray, " n"]]]:
-        """Pairs of splits that share values of ``design`` or ``body``, and the rows of the second with such a value."""
+        """Pairs of splits that share values of an array such as ``design``, and the rows of the second with one."""
         for first, second in self._pairs():
             values = {split: np.frombuffer(getattr(self.splits[split], name), np.int64) for split in (first, second)}
             known = np.unique(values[first])
@@ -145,89 +143,11 @@ def kinds_of(design: Mapping[str, Any] | None) -> dict[str, str]:
     return {name: str(kind.get("v") if isinstance(kind, Mapping) else kind) for name, kind in found.items()}
 
 
-# ---------------------------------------------------------------------------------------------------- repeated patterns
-
-# Two patterns are compared if they have the same structure: panels, edges, kinds of curves, stitches. The coordinates
-# of a structure of d numbers are projected to 16 dimensions by a random Gaussian matrix, which keeps distances up to a
-# factor of about 1.5 (Johnson and Lindenstrauss, 1984), and a k-d tree over these finds each pattern's nearest ones.
-# The root mean square of the differences, which the projection keeps, is at most the largest difference: so nearby
-# patterns are among these candidates.
-
-NEAR = 0.2  # cm: largest difference of a coordinate of two patterns that count as one
-DIMENSIONS = 16
-NEAREST = 4  # neighbours of each pattern that are looked at
-SPREAD = 1.6  # factor by which the projection may enlarge a distance of two patterns
-STEP = 1e-3  # cm: patterns that round to the same numbers are equal
-PANEL_COLUMNS = [PanelColumn.X, PanelColumn.Y, PanelColumn.Z]
-EDGE_COLUMNS = list(range(EdgeColumn.START_X, EdgeColumn.START_Y + 1)) + list(
-    range(EdgeColumn.CONTROL0_X, EdgeColumn.CONTROL1_Y + 1)
-)
-
-Fingerprint = tuple[int, int, Float32[np.ndarray, "16"]]
-"""Hash of the structure, hash of the rounded numbers, and the projected numbers [cm]."""
-
-
-def fingerprint(tensor: PatternTensor) -> Fingerprint:
-    """The fingerprint of a pattern. Distances of projections are root mean squares of the differences [cm]."""
-    numbers = _numbers(tensor)
+def _pattern_hash(tensor: PatternTensor) -> int:
+    """A number for the panels, edges and stitches, with all positions rounded to ``STEP``."""
+    numbers = np.concatenate([tensor.panels[:, PANEL_COLUMNS].ravel(), tensor.edges[:, EDGE_COLUMNS].ravel()])
     words = repr((tensor.panel_names, tensor.stitches.tolist(), tensor.edges[:, [0, EdgeColumn.KIND]].tolist()))
-    projected = numbers @ _projection(len(numbers))
-    return _hash(words.encode()), _hash(np.rint(numbers / STEP).astype("<i8").tobytes()), projected.astype(np.float32)
-
-
-def difference(one: PatternTensor, other: PatternTensor) -> float:
-    """Largest difference of a coordinate of two patterns of one structure [cm]; infinite for different sizes."""
-    a, b = _numbers(one), _numbers(other)
-    return float(np.abs(a - b).max(initial=0.0)) if len(a) == len(b) else np.inf
-
-
-def near_pairs(
-    structure: Int[np.ndarray, " n"], exact: Int[np.ndarray, " n"], projected: Float32[np.ndarray, "n 16"]
-) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, "l 2"]]:
-    """Pairs of equal patterns, and candidates for nearly equal ones: rows, the smaller first.
-
-    Of several equal patterns each later one is paired with the first.
-    """
-    order = np.lexsort((np.arange(len(structure)), exact, structure))
-    same = (np.diff(structure[order]) == 0) & (np.diff(exact[order]) == 0)
-    leader = np.maximum.accumulate(np.where(np.concatenate([[True], ~same]), np.arange(len(order)), 0))
-    first = order[leader]
-    later = first != order
-    equal = np.stack([first[later], order[later]], axis=1)
-    return equal, _candidates(structure, projected, np.sort(order[~later]))
-
-
-def _candidates(
-    structure: Int[np.ndarray, " n"], projected: Float32[np.ndarray, "n 16"], rows: Int[np.ndarray, " m"]
-) -> Int[np.ndarray, "l 2"]:
-    from scipy.spatial import cKDTree
-
-    rows = rows[np.argsort(structure[rows], kind="stable")]
-    groups: Sequence[np.ndarray] = np.split(rows, np.flatnonzero(np.diff(structure[rows])) + 1) if len(rows) else []
-    pairs = [np.zeros((0, 2), np.int64)]
-    for group in groups:
-        if len(group) < 2:
-            continue
-        tree = cKDTree(projected[group])
-        found = tree.query(projected[group], k=min(NEAREST, len(group)), distance_upper_bound=SPREAD * NEAR)[1]
-        one, column = np.nonzero(found < len(group))
-        two = found[one, column]
-        pairs.append(np.sort(np.stack([group[one], group[two]], axis=1)[one != two], axis=1))
-    return np.unique(np.concatenate(pairs), axis=0)
-
-
-def _numbers(tensor: PatternTensor) -> Float[np.ndarray, " d"]:
-    """The lengths of a pattern: positions of panels, corners and control points [cm]."""
-    return np.concatenate([tensor.panels[:, PANEL_COLUMNS].ravel(), tensor.edges[:, EDGE_COLUMNS].ravel()]).astype(
-        float
-    )
-
-
-@lru_cache(64)
-def _projection(count: int) -> Float[np.ndarray, "d 16"]:
-    """A matrix that maps ``count`` numbers so that distances are root mean squares of differences."""
-    random = np.random.Generator(np.random.Philox(key=count))
-    return np.asarray(random.normal(size=(count, DIMENSIONS)) / np.sqrt(DIMENSIONS * count))
+    return _hash(words.encode() + np.rint(numbers.astype(float) / STEP).astype("<i8").tobytes())
 
 
 def _hash(data: bytes) -> int:

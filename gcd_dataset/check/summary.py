@@ -11,13 +11,7 @@ from gcd_dataset.check.sets import kinds_of
 from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.codec import decode_field, opened_picture
 from gcd_dataset.shards.index import GRADES
-from gcd_dataset.shards.layout import (
-    GARMENTS,
-    fields_of,
-    is_picture,
-    is_view_field,
-    joint_fields,
-)
+from gcd_dataset.shards.layout import GARMENTS, fields_of, is_picture, is_view_field, joint_fields
 from gcd_dataset.shards.manifest import SplitRecord
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import REJECTS

@@ -19,6 +19,7 @@ from gcd_dataset.making.progress import SETTLED, Progress
 if TYPE_CHECKING:
     from tqdm import tqdm
 
+    from gcd_dataset.bodies import Wearer
     from gcd_dataset.generator.garments import GarmentDesign
     from gcd_dataset.records import Body, Measurements, Pattern, Sample
     from gcd_dataset.shards import ShardReader
@@ -169,7 +170,7 @@ def add_height(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def wearer_of(options: argparse.Namespace) -> "Callable[[bool], tuple[Body, Measurements]]":
+def wearer_of(options: argparse.Namespace) -> "Wearer":
     """The function that reads ``--body`` when called: body and measures, with legs straight or apart."""
     from gcd_dataset.generator.body.by_name import named_body, shape_by_name
 
@@ -292,53 +293,31 @@ def open_source(source: str, endpoint: str | None) -> "Store":
 
 
 EXAMPLES: Mapping[str, tuple[str, str]] = {
-    "generate": (
-        "gcd generate shards --count 1000 --bodies both --resolution 2 --workers 8",
-        "gcd generate smoke --recipe smoke-64",
-    ),
-    "drape": (
-        "gcd drape shirt_specification.json --out draped",
-        "gcd drape *_specification.json --body female:7 --fabric denim --out draped --resolution 2",
-    ),
-    "fit": (
-        "gcd fit design_params.yaml --body scan.obj --out fitted",
-        "gcd fit design_params.yaml --body female:7 --out fitted --resolution 2 --fabric denim",
-    ),
-    "grade": (
-        "gcd grade design_params.yaml --chart women --out graded",
-        "gcd grade design_params.yaml --chart sizes.toml --out graded --seam-allowance 1.5 --paper a0",
-    ),
-    "reconstruct": (
-        "gcd reconstruct scan.ply --body female:7 --out found",
-        "gcd reconstruct t1/inputs/*.npy --proposals proposed --workers 16 --out answers",
-    ),
+    "generate": ("gcd generate shards --count 1000 --bodies both --resolution 2 --workers 8",
+                 "gcd generate smoke --recipe smoke-64"),
+    "drape": ("gcd drape shirt_specification.json --out draped",
+              "gcd drape *_specification.json --body female:7 --fabric denim --out draped --resolution 2"),
+    "fit": ("gcd fit design_params.yaml --body scan.obj --out fitted",
+            "gcd fit design_params.yaml --body female:7 --out fitted --resolution 2 --fabric denim"),
+    "grade": ("gcd grade design_params.yaml --chart women --out graded",
+              "gcd grade design_params.yaml --chart sizes.toml --out graded --seam-allowance 1.5 --paper a0"),
+    "reconstruct": ("gcd reconstruct scan.ply --body female:7 --out found",
+                    "gcd reconstruct t1/inputs/*.npy --proposals proposed --workers 16 --out answers"),
     "measure": ("gcd measure scan.obj --out measures.yaml", "gcd measure --shape random:7"),
     "show": ("gcd show shards --index 3 --html garment.html", "gcd show shirt_specification.json --svg pattern.svg"),
-    "score": (
-        "gcd score answers truth --json scores.json",
-        "gcd score answers t1 --drape --workers 8",
-    ),
-    "bench": (
-        "gcd bench inputs T1 t1 --mini",
-        "gcd bench submit answers t1 --card model.toml --out result.json",
-    ),
+    "score": ("gcd score answers truth --json scores.json", "gcd score answers t1 --drape --workers 8"),
+    "bench": ("gcd bench inputs T1 t1 --mini", "gcd bench submit answers t1 --card model.toml --out result.json"),
     "info": ("gcd info shards", "gcd info org/garments"),
     "check": ("gcd check shards --bytes", "gcd check *_specification.json --errors"),
     "index": ("gcd index shards", "gcd index s3://bucket/shards"),
     "download": ("gcd download org/garments --split test", "gcd download org/garments --no-views --out garments"),
-    "publish": (
-        "gcd publish shards org/garments --dry-run",
-        "gcd publish shards org/garments --shares 90,5,5 --license cc-by-4.0",
-    ),
-    "convert": (
-        "gcd convert GarmentCodeData_v2 shards",
-        "gcd convert GarmentCodeData_v2 shards --bodies default --workers 8",
-    ),
-    "export": (
-        "gcd export shards --hdf5 train.h5",
-        "gcd export shirt_specification.json --pdf shirt.pdf --seam-allowance 1.5",
-    ),
-}
+    "publish": ("gcd publish shards org/garments --dry-run",
+                "gcd publish shards org/garments --shares 90,5,5 --license cc-by-4.0"),
+    "convert": ("gcd convert GarmentCodeData_v2 shards",
+                "gcd convert GarmentCodeData_v2 shards --bodies default --workers 8"),
+    "export": ("gcd export shards --hdf5 train.h5",
+               "gcd export shirt_specification.json --pdf shirt.pdf --seam-allowance 1.5"),
+}  # fmt: skip
 """Verb to two commands."""
 
 
@@ -391,9 +370,6 @@ def _is_folder(path: Path) -> bool:
         return path.is_dir()
     except OSError as error:
         raise SpecError(f"{path}: cannot be read ({error.strerror}): choose a file that you may read") from error
-
-
-# ------------------------------------------------------------------------------------------------------- progress bar
 
 
 class Bar:

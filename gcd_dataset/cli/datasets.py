@@ -51,10 +51,7 @@ def add_verbs(verbs: Any) -> None:
     )
     download.add_argument("--revision", help="branch, tag or commit (default: main)")
     download.add_argument(
-        "--patience",
-        type=float,
-        metavar="SECONDS",
-        help="how long to try a server that does not answer (default: 300)",
+        "--patience", type=float, metavar="SECONDS", help="how long to try a server that does not answer (default: 300)"
     )
     add_quiet(download)
     add_server(download)

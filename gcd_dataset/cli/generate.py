@@ -7,14 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli import datasets
-from gcd_dataset.cli.common import (
-    Bar,
-    Parser,
-    add_quiet,
-    add_verb,
-    natural_number,
-    process_count,
-)
+from gcd_dataset.cli.common import Bar, Parser, add_quiet, add_verb, natural_number, process_count
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.options import add_options, given_options, options_of, read_options
 
@@ -23,10 +16,7 @@ BODY_STAGE = "body"  # --stage body: bodies in both poses with their measures, n
 
 def add_verbs(verbs: Any) -> None:
     """Add ``generate``."""
-    again = (
-        "The same command continues a stopped run, and with a larger --count a folder grows:\n"
-        "finished samples are not made again."
-    )
+    again = "The same command continues a stopped run: finished samples are not made again."
     generate = add_verb(verbs, "generate", _generate, "make a data set", again)
     generate.add_argument(
         "out", metavar="OUT", help="folder for the shards, created if missing; or a URL such as s3://BUCKET/PREFIX"

@@ -14,8 +14,8 @@ from gcd_dataset.cli.common import add_body, add_quiet, add_verb, natural_number
 from gcd_dataset.errors import BodyError, ConfigError, DrapeError, GcdError
 
 if TYPE_CHECKING:
+    from gcd_dataset.bodies import Wearer
     from gcd_dataset.generator.garments import GarmentDesign
-    from gcd_dataset.generator.search import Wearer
     from gcd_dataset.records import BodyShape
 
 POINTS = 8192  # of a scan

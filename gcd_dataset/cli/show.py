@@ -18,7 +18,6 @@ from gcd_dataset.cli.common import (
     add_server,
     add_texture,
     add_verb,
-    design_in,
     names_a_file,
     natural_number,
     pattern_of,
@@ -30,13 +29,11 @@ from gcd_dataset.cli.common import (
 from gcd_dataset.errors import ConfigError, GcdError, ShardError
 
 if TYPE_CHECKING:
+    from gcd_dataset.bodies import Wearer
     from gcd_dataset.loaders import PublishedGarmentCodeData
-    from gcd_dataset.records import Pattern
     from gcd_dataset.shards import ShardReader
     from gcd_dataset.viewer.garments import Album
-    from gcd_dataset.viewer.server import ShownDesign
 
-DEFAULT_DESIGN = "default"
 HIGHEST_PORT = 65_535
 MOST_TILES = 400  # garments on a contact sheet
 LARGEST_TILE, SHEET_WIDTH = 512, 4096  # pixels
@@ -47,7 +44,6 @@ def add_verbs(verbs: Any) -> None:
     show = add_verb(verbs, "show", _show, "garments and patterns in a browser, as a picture, or as a page")
     show.add_argument(
         "what",
-        nargs="?",
         metavar="DATASET|PUBLISHED|SPEC",
         help=f"{SOURCE_HELP}; GarmentCodeData as published; specification JSON, or a folder of it",
     )
@@ -71,13 +67,6 @@ def add_verbs(verbs: Any) -> None:
     show.add_argument(
         "--truth", metavar="DATASET|SPEC", help="true patterns beside those of SPEC, by name; prints the scores"
     )
-    show.add_argument(
-        "--design",
-        nargs="?",
-        const=DEFAULT_DESIGN,
-        metavar="YAML",
-        help="design by hand, from a file of design parameters or from a dress; without DATASET",
-    )
     add_body(show, default=None)
     show.add_argument("--port", type=_port, default=0, help="port of the viewer (default: a free one)")
     add_server(show)
@@ -86,14 +75,10 @@ def add_verbs(verbs: Any) -> None:
 def _show(options: argparse.Namespace) -> int:
     files = {"png": options.png, "svg": options.svg, "html": options.html}
     given = {ending: path for ending, path in files.items() if path is not None}
-    if (options.what is None) == (options.design is None):
-        raise ConfigError("give either a DATASET or SPEC, or --design")
-    if options.design is None and any((options.body, options.measurements, options.segmentation, options.height)):
-        raise ConfigError("--body, --measurements, --segmentation, --height are for --design: leave them out")
     if options.texture and (options.png is None or options.maps):
         raise ConfigError("--texture is for --png without --maps: leave it out")
     if options.sheet is not None:
-        if given or options.what is None or options.truth is not None:
+        if given or options.truth is not None:
             raise ConfigError("--sheet shows garments of a DATASET or SPEC: leave out --png, --svg, --html and --truth")
         return _sheet(options)
     [*others, last] = options.index or (range(1),)
@@ -102,8 +87,8 @@ def _show(options: argparse.Namespace) -> int:
     options.index = last.start
     if not given:
         return _serve(options)
-    if options.design is not None or options.truth is not None:
-        raise ConfigError("--design and --truth are shown in the viewer: leave out --png, --svg and --html")
+    if options.truth is not None:
+        raise ConfigError("--truth is shown in the viewer: leave out --png, --svg and --html")
     for ending, path in given.items():
         if path.suffix.lower() != f".{ending}":
             raise ConfigError(f"--{ending} {path}: the file is {ending.upper()}, so end the name in .{ending}")
@@ -115,7 +100,7 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
     from gcd_dataset.generator.drawing import draw_pattern, png_bytes, sample_sheet
     from gcd_dataset.generator.svg import pattern_svg
     from gcd_dataset.outfits import joined
-    from gcd_dataset.records import Sample
+    from gcd_dataset.records import Pattern, Sample
     from gcd_dataset.viewer.content import content_of
     from gcd_dataset.viewer.garments import NO_BODY, published_content
     from gcd_dataset.viewer.maps import maps_sheet, require_maps, textured_sheet
@@ -136,13 +121,16 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
     is_png_alone = options.html is None and options.png is not None
     has_maps = isinstance(subject, Sample) and (is_png_alone or subject.maps is not None)
     require_maps(not options.maps or has_maps, options.what)
+    wearer = _wearer(options, is_spec=isinstance(subject, Pattern))
     if options.png is not None:
         picture = draw(subject) if isinstance(subject, Sample) else draw_pattern(subject)
         write_whole(options.png, png_bytes(picture))
     if options.svg is not None:
         write_whole(options.svg, pattern_svg(joined(subject).pattern if isinstance(subject, Sample) else subject))
     if options.html is not None:
-        content = content_of(subject) if published is None else published_content(published, options.index)
+        content = (
+            content_of(subject, wearer=wearer) if published is None else published_content(published, options.index)
+        )
         write_whole(options.html, page_of(content, maps=options.maps).encode())
         if problem := dict(content.tables.get("Recipe", ())).get(NO_BODY):
             print(f"gcd show: {problem}", file=sys.stderr)
@@ -188,7 +176,7 @@ def _chosen(options: argparse.Namespace, album: "Album") -> list[int]:
         where = Filter(**dict(condition.split("=", 1) for condition in options.where))
     except (TypeError, ValueError) as error:
         raise ConfigError(f"--where {' '.join(options.where)}: write kind=, grade= or outcome=VALUE") from error
-    while (where.kind or where.outcome) and album.known < len(album) and not album.problem:
+    if where.kind or where.outcome:
         album.read_tags()
     chosen: list[int] = album.matches(where).tolist()
     if options.index is not None:
@@ -206,18 +194,13 @@ def _chosen(options: argparse.Namespace, album: "Album") -> list[int]:
 def _serve(options: argparse.Namespace) -> int:
     """The viewer, until it is interrupted."""
     from gcd_dataset.viewer.garments import SpecAlbum
-    from gcd_dataset.viewer.maps import require_maps
     from gcd_dataset.viewer.server import Gallery, serve
 
-    if options.design is not None:
-        require_maps(not options.maps, "--design")
-        site: ShownDesign | Gallery = _design(options)
-    else:
-        album = _album(options)
-        site = Gallery(album, position_of(options, len(album)))
-        if isinstance(album, SpecAlbum) and options.truth is not None:
-            lines = (print(line, flush=True) for line in album.scores())
-            threading.Thread(target=list, args=(lines,), daemon=True).start()
+    album = _album(options)
+    site = Gallery(album, position_of(options, len(album)))
+    if isinstance(album, SpecAlbum) and options.truth is not None:
+        lines = (print(line, flush=True) for line in album.scores())
+        threading.Thread(target=list, args=(lines,), daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):
         serve(site, port=options.port)
     if not site.has_ended():  # the interpreter would wait for threads, which may wait for a server
@@ -238,11 +221,22 @@ def _album(options: argparse.Namespace) -> "Album":
     is_no_set = "://" not in options.what and folder.is_dir() and not is_set(folder)
     is_spec = options.truth is not None or names_a_file(options.what) or (is_no_set and any(folder.glob("*.json")))
     require_maps(not options.maps or (published is None and not is_spec), options.what)
+    wearer = _wearer(options, is_spec=is_spec and published is None)
     if published is not None:
         return PublishedAlbum(published, options.what)
     if is_spec:
-        return spec_album(folder, None if options.truth is None else _truth(options))
+        return spec_album(folder, None if options.truth is None else _truth(options), wearer)
     return ShardAlbum(reader_of(options.what, options), options.what, maps=options.maps)
+
+
+def _wearer(options: argparse.Namespace, *, is_spec: bool) -> "Wearer | None":
+    """The body that the panels of a specification are placed round; ``None``: the neutral one."""
+    if not any((options.body, options.measurements, options.segmentation, options.height, options.betas)):
+        return None
+    if not is_spec:
+        raise ConfigError("--body and the options of its file are for the panels of a SPEC: leave them out")
+    options.body = options.body or "neutral"
+    return wearer_of(options)
 
 
 def _truth(options: argparse.Namespace) -> "Path | ShardReader":
@@ -268,15 +262,6 @@ def _published(options: argparse.Namespace) -> "PublishedGarmentCodeData | None"
     from gcd_dataset.loaders import PublishedGarmentCodeData
 
     return PublishedGarmentCodeData(folder, split=options.split)
-
-
-def _design(options: argparse.Namespace) -> "ShownDesign":
-    from gcd_dataset.viewer.design_desk import Desk
-    from gcd_dataset.viewer.server import ShownDesign
-
-    start = None if options.design == DEFAULT_DESIGN else design_in(options.design)
-    options.body = options.body or "neutral"
-    return ShownDesign(Desk(start, wearer_of(options)))
 
 
 def _ranges(text: str) -> list[range]:

@@ -5,11 +5,9 @@ import io
 import json
 import logging
 import string
-from collections import Counter
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import mean, median
 from typing import Any
 
 import numpy as np
@@ -45,6 +43,7 @@ BATCH = 5000  # designs in a batch
 LETTERS = string.ascii_uppercase + string.digits
 LETTERS_IN_NAME = 10
 SPLIT_FILE = "GarmentCodeData_v2_official_train_valid_test_data_split.json"
+COUNTS = ("fin_frame", "self_collisions", "body_collisions", "face_count")  # figures of a drape in the properties
 TEXTURE = 15  # pixels per centimetre
 LARGEST_TEXTURE = 2048  # pixels
 CLOTH_OPACITY, OUTLINE = 166, 0.5  # opacity of cloth, of 255; width of outlines [cm]
@@ -134,8 +133,8 @@ def _write_garments(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> 
             yield published.name
         first_batch += last // BATCH + 1
     for (name, body_folder), batch in batches.items():
-        tree = batch_properties(name, batch.panels, batch.types, batch.counts, batch.fails)
-        write_whole(draft.folder / name / body_folder / properties_name(body_folder), yaml_bytes(tree))
+        properties = yaml_bytes(batch_properties(name, batch))
+        write_whole(draft.folder / name / body_folder / properties_name(body_folder), properties)
     lists = {name: list(splits.get(name, {})) for name, *_ in SPLIT_NAMES.values()}
     write_whole(draft.folder / SPLIT_FILE, json.dumps(lists, indent=4).encode())
 
@@ -154,12 +153,8 @@ def _add_properties(sample: Sample, name: str, tree: Mapping[str, Any], batch: _
     assert mesh is not None
     batch.panels[name] = len(sample.pattern.panels)
     batch.types[name] = garment_type(tree)
-    batch.counts[name] = {
-        "fin_frame": drape.frames,
-        "self_collisions": drape.self_crossings,
-        "body_collisions": drape.body_crossings,
-        "face_count": len(mesh.faces),
-    }
+    figures = (drape.frames, drape.self_crossings, drape.body_crossings, len(mesh.faces))
+    batch.counts[name] = dict(zip(COUNTS, figures, strict=True))
     if drape.outcome is not Outcome.SETTLED:
         batch.fails[name] = FAIL_CLASSES[drape.outcome]
 
@@ -285,74 +280,23 @@ def garment_type(design: Mapping[str, Any]) -> dict[str, Any]:
     return {"main": main, "styles": styles}
 
 
-def batch_properties(
-    batch: str,
-    panels: Mapping[str, int],
-    types: Mapping[str, Mapping[str, Any]],
-    counts: Mapping[str, Mapping[str, int]],
-    fails: Mapping[str, str],
-) -> dict[str, Any]:
-    """The tree of the properties file: figures of each garment by name, and summaries over the batch.
-
-    By name of the garment: ``panels``: number of panels; ``types``: ``garment_type``; ``counts``: ``fin_frame``,
-    ``self_collisions``, ``body_collisions`` and ``face_count``; ``fails``: class of the failure.
-    """
-    by_name: dict[str, dict[str, int]] = {
-        key: {name: count[key] for name, count in counts.items()}
-        for key in ("fin_frame", "self_collisions", "body_collisions", "face_count")
-    }
-    failed = {kind: [name for name, of in fails.items() if of == kind] for kind in FAILS}
-    collisions = {
-        f"{key}_{name}": figure
-        for key in ("self_collisions", "body_collisions")
-        for name, figure in _spread(by_name[key].values()).items()
-    }
+def batch_properties(name: str, batch: "_PublishedBatch") -> dict[str, Any]:
+    """The tree of the properties file: figures of each garment by name."""
     return {
         "body_default": DEFAULT_BODY,
         "body_samples": "5000_body_shapes_and_measures",
-        "size": len(panels),
-        "name": batch,
+        "size": len(batch.panels),
+        "name": name,
         "to_subfolders": True,
-        "generator": {
-            "stats": {
-                "panel_count": dict(panels),
-                "garment_types": {name: dict(kind) for name, kind in types.items()},
-                "garment_types_summary": _summary(types.values()),
-                "panel_count_avg": mean(panels.values()),
-                "panel_count_med": float(median(panels.values())),
-                "panel_count_min": min(panels.values()),
-                "panel_count_max": max(panels.values()),
-            }
-        },
-        "data_folder": batch,
+        "generator": {"stats": {"panel_count": batch.panels, "garment_types": batch.types}},
+        "data_folder": name,
         "sim": {
             "stats": {
-                "fails": failed,
-                **by_name,
+                "fails": {kind: [name for name, of in batch.fails.items() if of == kind] for kind in FAILS},
+                **{key: {name: count[key] for name, count in batch.counts.items()} for key in COUNTS},
                 "stop_over": [],
-                "fin_frame_avg": float(mean(by_name["fin_frame"].values())),
-                **collisions,
-                "fails_count": len(fails),
+                "fails_count": len(batch.fails),
             }
         },
         "frozen": True,
-    }
-
-
-def _spread(values: Iterable[int]) -> dict[str, float]:
-    array = np.array(list(values))
-    figures = {"avg": array.mean(), "med": np.median(array)} | {f"p{p}": np.percentile(array, p) for p in (80, 95)}
-    return {name: float(figure) for name, figure in figures.items()}
-
-
-def _summary(types: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Numbers of garments by main type, and by style and main type."""
-    kinds = list(types)
-    styles: dict[str, Counter[str]] = {}
-    for kind in kinds:
-        for style in kind["styles"]:
-            styles.setdefault(style, Counter()).update(("total", kind["main"]))
-    return {
-        "main": dict(Counter(kind["main"] for kind in kinds)),
-        "style": {style: dict(counts) for style, counts in styles.items()},
     }

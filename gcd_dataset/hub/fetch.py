@@ -199,9 +199,6 @@ def _is_unresolved(error: BaseException) -> bool:
     return isinstance(error, socket.gaierror) or (cause is not None and _is_unresolved(cause))
 
 
-# ---------------------------------------------------------------------------------------------------------- web servers
-
-
 def _from_web(span: Span, take: Count, headers: Headers) -> Headers:
     """One attempt at a web server. Raises ``Passing`` for an error that may pass."""
     import aiohttp
@@ -289,9 +286,6 @@ def _proxy(address: str) -> str | None:
     return None if proxy_bypass(parts.hostname or "") else getproxies().get(parts.scheme)
 
 
-# -------------------------------------------------------------------------------------------------------- object stores
-
-
 def _from_store(span: Span, take: Take) -> Headers:
     """One attempt at an object store. Raises ``Passing`` for an error that may pass."""
     address, start, end, limit = span
@@ -352,9 +346,6 @@ def _store(process: int, root: str) -> Any:
     store = url_to_fs(root, skip_instance_cache=True, config_kwargs=config)[0]
     store.retries = 1
     return store
-
-
-# --------------------------------------------------------------------------------------------------------- whole shards
 
 
 def fetch(

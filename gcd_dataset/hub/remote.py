@@ -20,15 +20,7 @@ from pathlib import Path
 from typing import TypeVar
 from urllib.parse import quote
 
-from gcd_dataset.errors import (
-    ConfigError,
-    GcdError,
-    MissingError,
-    OutputError,
-    RefusedError,
-    RemoteError,
-    ShardError,
-)
+from gcd_dataset.errors import ConfigError, GcdError, MissingError, OutputError, RefusedError, RemoteError, ShardError
 from gcd_dataset.files import make_folder, safe_name, user_path, write_whole
 from gcd_dataset.hub.fetch import WEB, Files, fetch
 from gcd_dataset.hub.source import COMMIT, Folder, Repo, Url, parse_source

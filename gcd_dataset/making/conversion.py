@@ -46,7 +46,7 @@ def convert(
     """Convert the published garments under ``root`` to shards in ``out``; with their official splits.
 
     Garments that cannot be read are skipped, with the reason in ``Progress.skipped``; a repeated call tries them again.
-    After further batches are downloaded, a repeated call adds their garments. Raises ``ShardError`` for a folder that
+    Raises ``ShardError`` for a folder that
     is not in the published layout or has no garment of any split, ``ConfigError`` if ``out`` holds another data set,
     ``OutputError`` if it cannot be written.
     """

@@ -132,9 +132,6 @@ def gpu_share(nodes: Sequence[Mapping[str, Any]]) -> float:
     return float(min(int(share * 10_000) / 10_000, 1.0))  # in Ray's steps
 
 
-# ------------------------------------------------------------------------------------------------------- on the cluster
-
-
 def _make(place: Place, task: Task, maker: Maker, wanted: Mapping[str, str]) -> tuple[str, list[Made]]:
     """On a node: make and store a shard; the node's address and the samples. Raises ``ConfigError`` for other code."""
     import ray
@@ -198,9 +195,6 @@ def code_versions() -> dict[str, str]:
     for path in sorted(root.rglob("*.py")):
         sources.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
     return versions() | {"sources": sources.hexdigest()[:12]}
-
-
-# ------------------------------------------------------------------------------------------------------ on this machine
 
 
 @contextmanager

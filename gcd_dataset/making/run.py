@@ -7,9 +7,7 @@ Equal plans give equal bytes, whoever makes which shard, and however often the w
 
 import contextlib
 import logging
-import shutil
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,13 +17,12 @@ from gcd_dataset.generator.recipes import find_recipe, recipe_names
 from gcd_dataset.making.log import run_log
 from gcd_dataset.making.progress import Pace, Progress, ProgressCallback, ignore_progress
 from gcd_dataset.making.tasks import Job, Task, Work
-from gcd_dataset.shards.access import Place, locked, reading, writing
+from gcd_dataset.shards.access import Place, reading
 from gcd_dataset.shards.layout import FAILED, META, Bytes
 from gcd_dataset.shards.manifest import MANIFEST, Plan, parse_manifest, shard_name
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import (
     DRAFT,
-    EARLIER,
     OLD,
     Gathered,
     Note,
@@ -108,11 +105,8 @@ def run(
     return progress
 
 
-# ------------------------------------------------------------------------------------------------------------ beginning
-
-
 def begin(work: Work) -> None:
-    """Check that the place holds nothing else, and prepare it: shards of a smaller data set become ``EARLIER``.
+    """Check that the place holds nothing else, and prepare it.
 
     Raises ``ConfigError`` with the first difference to the data set there, ``ShardError`` for a broken one,
     ``OutputError`` where the place cannot be written.
@@ -120,21 +114,15 @@ def begin(work: Work) -> None:
     place = work.place
     if place.is_folder:
         make_folder(place.folder)
-    for earlier in _earlier_places(place):  # of a run that was stopped before it had a shard
-        _count_in(earlier, work.plan)
-    if 0 < _count_in(place, work.plan) < work.plan.count:
-        _grow(work)
+    _require_same_set(place, work.plan)
     _restore_notes(work)
     for name, content in work.files.items():
         if not place.exists(name):
             place.write(name, content)
 
 
-def _count_in(place: Place, asked: Plan) -> int:
-    """The planned samples of the data set in a place; 0 without shards.
-
-    Raises ``ConfigError`` for another data set, or one that is larger than the one asked for.
-    """
+def _require_same_set(place: Place, asked: Plan) -> None:
+    """Raise ``ConfigError`` if the place holds another data set."""
     names = place.names()
     if any(map(OLD.fullmatch, names)):
         raise ConfigError(f"{place.location()}: a data set of an earlier version: choose another folder")
@@ -146,35 +134,13 @@ def _count_in(place: Place, asked: Plan) -> int:
         name = place.location(MANIFEST)
         plan = next((split.plan for split in parse_manifest(next(place.read([MANIFEST])), name).splits.values()), asked)
     else:
-        return asked.count if shards_named(names) else 0  # ``_restore_notes`` looks at each of these shards
+        return  # ``_restore_notes`` looks at each shard
     plan.require_same(asked, name)
-    if plan.count > asked.count:
+    if plan.count != asked.count:
         raise ConfigError(
-            f"{name}: a data set of {plan.count} samples, asked for {asked.count}: give the same number or more, or "
-            "another folder"
+            f"{name}: a data set of {plan.count} samples, asked for {asked.count}: give the same number, or another "
+            "folder"
         )
-    return plan.count
-
-
-def _grow(work: Work) -> None:
-    """Move the shards of a smaller data set into ``EARLIER``: their samples are copied into the new shards."""
-    place = work.place
-    if not place.is_folder:
-        raise ConfigError(f"{place.location()}: holds fewer samples, and only folders grow: choose another URL")
-    earlier = make_folder(place.folder / EARLIER)
-    with locked(earlier / "lock", "moving its shards", wait=True):
-        count = _count_in(place, work.plan)
-        if count in (0, work.plan.count):
-            return  # moved by another process
-        place.remove(MANIFEST)
-        old, names = Place(make_folder(earlier / str(count))), place.names()
-        for split, number in shards_named(names):
-            note = note_name(split, number)
-            old.write(note, read_note(place, split, number).to_bytes())
-            for views in (True, False):  # as long as the tar is here, so is its note
-                if (name := shard_name(split, number, views=views)) in names:
-                    old.put(place.folder / name, name)
-            place.remove(note)
 
 
 def _restore_notes(work: Work) -> None:
@@ -201,14 +167,11 @@ def _restore_notes(work: Work) -> None:
         place.remove_fetched()
 
 
-# --------------------------------------------------------------------------------------------------------------- making
-
-
 def make_shards(place: Place, tasks: Sequence[Task], maker: Maker) -> Generator[Made, None, None]:
     """Make the shards of tasks that are not done, yielding each sample when it is stored.
 
-    Samples of a killed run's drafts, and of ``EARLIER``, are kept. A task that another process works on is tried
-    last, then waited for. Raises ``OutputError`` where the place cannot be written.
+    Samples of a killed run's drafts are kept. A task that another process works on is tried last, then waited for.
+    Raises ``OutputError`` where the place cannot be written.
     """
     others = set[str]()  # tars of the tasks of other processes
     while missing := _missing(place, tasks):
@@ -233,7 +196,6 @@ def _fill_drafts(
     place: Place, wanted: Wanted, samples: Iterator[Made], others: set[str], *, wait: bool
 ) -> Generator[Made, None, None]:
     """Make shards from a stream of samples, until a sample of the stream belongs to another process."""
-    earlier = _Earlier(place)
     for task, left in wanted:
         draft = Draft.open(place, *task, wait=wait)
         if draft is None:
@@ -247,24 +209,20 @@ def _fill_drafts(
             for index in task.indices:
                 if index in done:
                     continue
-                if earlier.has(task.split, index):
-                    members, failed = earlier.read(task.split, index)
-                    draft.add(index, members, failed=failed)
-                elif index not in asked:  # the draft has lost it
+                if index not in asked:  # the draft has lost it
                     return
+                made = next(made for made in samples if made.number == index)  # others may have added some
+                if made.members is None:
+                    draft.skip(index, made.fault)
                 else:
-                    made = next(made for made in samples if made.number == index)  # others may have added some
-                    if made.members is None:
-                        draft.skip(index, made.fault)
-                    else:
-                        draft.add(index, made.members, failed=made.failed)
-                    yield made
+                    draft.add(index, made.members, failed=made.failed)
+                yield made
             draft.finish()
 
 
 def _wanted(place: Place, tasks: Sequence[Task]) -> Wanted:
-    """The tasks with the indices of the samples that are neither in their drafts nor in ``EARLIER``."""
-    earlier, drafts = _Earlier(place), set[str]()
+    """The tasks with the indices of the samples that are not in their drafts."""
+    drafts = set[str]()
     if place.work.is_dir():
         with reading(place.work):
             drafts = {path.name for path in place.work.iterdir() if DRAFT.fullmatch(path.name)}
@@ -272,8 +230,7 @@ def _wanted(place: Place, tasks: Sequence[Task]) -> Wanted:
     for task in tasks:
         names = {draft_name(split, task.number, task.plan.count) for split in (task.split, FAILED)} & drafts
         done = set[int]().union(*(_samples_in(place.work / name) for name in names))
-        left = [index for index in task.indices if index not in done and not earlier.has(task.split, index)]
-        wanted.append((task, left))
+        wanted.append((task, [index for index in task.indices if index not in done]))
     return wanted
 
 
@@ -287,53 +244,6 @@ def _samples_in(draft: Path) -> set[int]:
         raise
 
 
-class _Earlier:
-    """The samples in ``EARLIER``, by split and index."""
-
-    def __init__(self, place: Place) -> None:
-        self._where: dict[tuple[str, int], tuple[Path, Path]] = {}
-        self._content = lru_cache(maxsize=2)(_content)
-        for old in _earlier_places(place):
-            for split, number in shards_named(old.names()):
-                try:
-                    note = read_note(old, split, number)
-                except ShardError as error:
-                    if isinstance(error.__cause__, FileNotFoundError):  # another process has finished, and tidied up
-                        continue
-                    raise
-                tars = old.folder / note.record.name(split), old.folder / note.record.views_name(split)
-                self._where |= {(split, row[0]): tars for row in note.rows}
-
-    def has(self, split: str, index: int) -> bool:
-        """Whether a sample of a split, or its failed drape, is known."""
-        return (split, index) in self._where or (FAILED, index) in self._where
-
-    def read(self, split: str, index: int) -> tuple[Mapping[str, Bytes], bool]:
-        """A known sample, and whether it is a failed drape. Keeps the last shards. Raises ``ShardError``."""
-        failed = (split, index) not in self._where
-        return self._content(*self._where[FAILED if failed else split, index])[index], failed
-
-
-def _content(tar: Path, views: Path) -> dict[int, dict[str, memoryview]]:
-    """The samples of a shard with their pictures, by index."""
-    content = {sample.number: sample.members for sample in stored_samples(tar)}
-    for sample in stored_samples(views) if views.exists() else ():
-        content[sample.number] |= sample.members
-    return content
-
-
-def _earlier_places(place: Place) -> list[Place]:
-    """The folders in ``EARLIER``, each with shards of a smaller data set."""
-    root = place.work / EARLIER
-    if not place.is_folder or not root.is_dir():
-        return []
-    with reading(root):
-        return [Place(folder) for folder in sorted(root.iterdir()) if folder.is_dir()]
-
-
-# ----------------------------------------------------------------------------------------------------------- completing
-
-
 def index(place: Place) -> Gathered:
     """Gather manifest, index and rejects of the finished shards, and write them; if all are there, tidy up.
 
@@ -343,10 +253,6 @@ def index(place: Place) -> Gathered:
     gathered = gather(place, _published)
     if gathered.is_complete:
         remove_drafts(place)
-        earlier = place.work / EARLIER
-        while place.is_folder and earlier.is_dir():
-            with writing(earlier), contextlib.suppress(FileNotFoundError):  # another process removes it, too
-                shutil.rmtree(earlier)
         recipe = gathered.manifest.recipe
         known = "" if recipe is None else _published(recipe.name, recipe.sha256)
         if recipe is not None and known and recipe.patterns != known:

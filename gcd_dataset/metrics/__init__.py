@@ -24,39 +24,13 @@ from gcd_dataset.metrics.answers import (
     true_labels,
 )
 from gcd_dataset.metrics.matching import PanelPair, match_panels, matched_edges
-from gcd_dataset.metrics.scores import (
-    PatternScore,
-    bootstrap_means,
-    failed_score,
-    mean_scores,
-    score_pattern,
-)
+from gcd_dataset.metrics.scores import PatternScore, bootstrap_means, failed_score, mean_scores, score_pattern
 from gcd_dataset.metrics.seams import SewnPiece, seam_lengths_score, sewn_pieces
 from gcd_dataset.metrics.shapes import PanelShape, resample_loop
 
 __all__ = [
-    "DrapeScore",
-    "MeasureScore",
-    "PanelPair",
-    "PanelShape",
-    "PatternScore",
-    "SewnPiece",
-    "TrueLabels",
-    "VertexLabels",
-    "VertexScore",
-    "assigned",
-    "bootstrap_means",
-    "failed_score",
-    "match_panels",
-    "matched_edges",
-    "mean_scores",
-    "resample_loop",
-    "score_drape",
-    "score_labels",
-    "score_measures",
-    "score_motion",
-    "score_pattern",
-    "seam_lengths_score",
-    "sewn_pieces",
-    "true_labels",
-]
+    "DrapeScore", "MeasureScore", "PanelPair", "PanelShape", "PatternScore", "SewnPiece", "TrueLabels", "VertexLabels",
+    "VertexScore", "assigned", "bootstrap_means", "failed_score", "match_panels", "matched_edges", "mean_scores",
+    "resample_loop", "score_drape", "score_labels", "score_measures", "score_motion", "score_pattern",
+    "seam_lengths_score", "sewn_pieces", "true_labels",
+]  # fmt: skip

@@ -108,9 +108,6 @@ class Archive(Record):
             return None
 
 
-# ----------------------------------------------------------------------------------------------------------- unpacking
-
-
 def _unpack(path: Path, index: Path, unpacked: Path, stamp: tuple[int, int]) -> None:
     """Unpack an archive and write its index. Raises ``ShardError`` for a damaged one, ``OutputError``."""
     try:

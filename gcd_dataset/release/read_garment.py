@@ -156,8 +156,6 @@ class PublishedGarment:
         """The PNG of ``front`` or ``back``."""
         return self._file(side)
 
-    # ------------------------------------------------------------------------------------------------------- meshes
-
     @functools.cached_property
     def _sim(self) -> Ply:
         return self._ply("sim")
@@ -258,8 +256,6 @@ class PublishedGarment:
                 raise self.broken("box", f"texture coordinates of panel {panel.name} do not match its plane")
             flat[in_panel & ~free] = scaled[in_panel & ~free] + offset
         return flat
-
-    # -------------------------------------------------------------------------------------------------------- files
 
     @functools.cached_property
     def _files(self) -> dict[str, bytes]:

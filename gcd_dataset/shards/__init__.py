@@ -17,25 +17,9 @@ if TYPE_CHECKING:
     from gcd_dataset.shards.writer import ShardWriter
 
 __all__ = [
-    "BODIES",
-    "FIELDS",
-    "GARMENTS",
-    "MEMBERS",
-    "SCHEMA",
-    "Layout",
-    "Manifest",
-    "Plan",
-    "ShardReader",
-    "ShardRecord",
-    "ShardWriter",
-    "SplitIndex",
-    "SplitRecord",
-    "decode_fields",
-    "decode_motion",
-    "decode_sample",
-    "encode_motion",
-    "encode_sample",
-    "read_manifest",
-]
+    "BODIES", "FIELDS", "GARMENTS", "MEMBERS", "SCHEMA", "Layout", "Manifest", "Plan", "ShardReader", "ShardRecord",
+    "ShardWriter", "SplitIndex", "SplitRecord", "decode_fields", "decode_motion", "decode_sample", "encode_motion",
+    "encode_sample", "read_manifest",
+]  # fmt: skip
 
 __getattr__, __dir__ = lazy_names(__name__)

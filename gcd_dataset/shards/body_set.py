@@ -45,9 +45,6 @@ READERS: Mapping[str, Callable[[Bytes], Any]] = {
 POSITION = Coding(2, step=round(math.log2(POSITION_STEP)))
 
 
-# -------------------------------------------------------------------------------------------------------------- writing
-
-
 def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]:
     """Member name to bytes; equal people give equal bytes. ``origin``: the entries index, seed, recipe, versions.
 
@@ -82,9 +79,6 @@ def mesh_bytes(mesh: BodyMesh) -> bytes:
     """The content of the file ``mesh_name``."""
     parts = np.zeros(0, np.uint8) if mesh.parts is None else mesh.parts
     return pack({"faces": np.asarray(mesh.faces), "parts": parts}, {"faces": Coding(1)})
-
-
-# -------------------------------------------------------------------------------------------------------------- reading
 
 
 def decode_body_fields(members: Mapping[str, Bytes], fields: Iterable[str]) -> dict[str, Any]:

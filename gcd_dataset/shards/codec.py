@@ -169,9 +169,6 @@ NO_GARMENT = WornGarment(Pattern("", (), ()))
 """In place of a garment that the largest outfit of a data set has, and this one lacks: all its arrays have no rows."""
 
 
-# ------------------------------------------------------------------------------------------------------------- encoding
-
-
 def encode_sample(sample: Sample, *, garments: int = 1) -> dict[str, bytes]:
     """Member name to bytes; equal samples give equal bytes.
 
@@ -430,9 +427,6 @@ def _worn_entry(garment: WornGarment, tensor: PatternTensor) -> dict[str, Any]:
         if fabric is None
         else {"name": fabric.name, "parameters": json_text(dict(fabric.parameters))},
     }
-
-
-# ------------------------------------------------------------------------------------------------------------- decoding
 
 
 def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str] | None = None) -> dict[str, Any]:

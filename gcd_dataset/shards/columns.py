@@ -181,9 +181,6 @@ def value_of(field: str, rows: np.ndarray) -> Any:
     return DECODERS[field](rows.tobytes())
 
 
-# ------------------------------------------------------------------------------------------------------------- reading
-
-
 def _open_column(path: Path) -> Column:
     """A column. Raises ``ValueError`` for a file that is none, or cut off."""
     with path.open("rb") as file:
@@ -201,9 +198,6 @@ def _open_column(path: Path) -> Column:
 
 def _aligned(size: int) -> int:
     return -(-size // ALIGNED) * ALIGNED
-
-
-# -------------------------------------------------------------------------------------------------------------- making
 
 
 def _samples(content: memoryview, numbers: Sequence[int]) -> Iterator[tuple[str, Mapping[str, Bytes]]]:

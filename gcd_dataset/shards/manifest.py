@@ -55,7 +55,7 @@ class Plan:
     """Name and SHA-256 of the published recipe that the data set follows."""
 
     def require_same(self, asked: "Plan", location: object) -> None:
-        """Raise ``ConfigError`` with the first difference; count and shard size may differ, since data sets grow.
+        """Raise ``ConfigError`` with the first difference; count and shard size may differ.
 
         ``location``: the file that holds this plan, for the message.
         """
@@ -278,9 +278,6 @@ def other_schema(path: object, schema: int, generator: object) -> str:
 def ranked(counts: Mapping[str, int]) -> dict[str, int]:
     """The counts, the largest first."""
     return dict(sorted(counts.items(), key=lambda entry: (-entry[1], entry[0])))
-
-
-# ---------------------------------------------------------------------------------------------------------------- JSON
 
 
 def sorted_json(entry: Mapping[str, Any]) -> bytes:

@@ -115,9 +115,6 @@ NO_CROSSINGS = [-1, -1, -1]
 NO_LAYER: Mapping[str, Any] = {"inner": -1, "outer": -1, "crossings": -1, "covered": -1, "wrong_order": -1.0}
 
 
-# ------------------------------------------------------------------------------------------------------------- writing
-
-
 def sealed(stored: Mapping[str, Any]) -> bytes:
     """A ``meta.json`` of stored entries; its last entry, the seal, is the CRC-32 of the bytes before."""
     body = json_bytes(stored)[:-1]
@@ -172,9 +169,6 @@ def motion_entry(motion: GarmentMotion) -> dict[str, Any]:
 def _broken_rule(broken: Rejected | FitLabel) -> dict[str, Any]:
     figures = {name: x if isinstance(x, int) else round(float(x), DIGITS) for name, x in broken.figures.items()}
     return {"rule": broken.rule, "reason": broken.reason, "figures": json_text(figures)}
-
-
-# ------------------------------------------------------------------------------------------------------------- reading
 
 
 def decode_json(data: Bytes, *, limit: int = LARGEST_JSON) -> Any:
@@ -300,9 +294,6 @@ def _require_seal(data: Bytes) -> None:
         raise ShardError(f"does not end with its {SEAL}")
     if zlib.crc32(memoryview(data)[: len(data) - len(match[0])]) != int(match[1]):
         raise ShardError("bytes differ from the written ones")
-
-
-# -------------------------------------------------------------------------------------------------------------- checks
 
 
 def _has_form(value: Any, form: Any) -> bool:

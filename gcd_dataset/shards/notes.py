@@ -54,8 +54,6 @@ from gcd_dataset.shards.meta import checked_meta, decode_json, is_count, json_by
 from gcd_dataset.shards.tar import BLOCK, END, padded, samples_in
 
 REJECTS = "rejects.jsonl"
-EARLIER = ".earlier"
-"""Folder of the shards of a smaller data set, whose samples are copied while it grows."""
 SHARD = re.compile(r"(.+)-(\d{5}|[1-9]\d{5,8})\.tar")
 OLD = re.compile(r"index-.+\.npz")  # written before schema 3
 KEY = re.compile(r"gcd_\d{9,18}")
@@ -74,9 +72,6 @@ def shards_named(names: Iterable[str]) -> list[tuple[str, int]]:
     """Split and number of the shards among files, sorted."""
     matches = (SHARD.fullmatch(name) for name in names if "/" not in name and not name.startswith("."))
     return sorted((match[1], int(match[2])) for match in matches if match is not None)
-
-
-# ------------------------------------------------------------------------------------------------------------- samples
 
 
 class StoredSample(NamedTuple):
@@ -180,9 +175,6 @@ def plan_of_sample(meta: Mapping[str, Any], plan: Plan) -> Plan:
     """``plan`` with the seed, recipe and version that a sample was made with."""
     generator = meta["versions"].get("gcd_dataset", plan.generator)
     return replace(plan, seed=meta["seed"], recipe=meta["recipe"], generator=generator)
-
-
-# --------------------------------------------------------------------------------------------------------------- notes
 
 
 @dataclass(frozen=True)
@@ -325,9 +317,6 @@ def read_note(place: Place, split: str, number: int, plan: Plan | None = None) -
     if plan is None and any(head) and KEY.match(head.decode("latin-1")) is None:
         raise ShardError(f"{place.location()}: {FOREIGN}")
     return note_of(path, views, split, number, plan)
-
-
-# ----------------------------------------------------------------------------------------------------------- gathering
 
 
 @dataclass(frozen=True)

@@ -93,9 +93,6 @@ def unpack(
     }
 
 
-# ------------------------------------------------------------------------------------------------------------- writing
-
-
 def _section(name: str, array: np.ndarray, coding: Coding) -> Iterator[bytes]:
     """Head and body."""
     numbers = _integers(array, coding) if coding.order else None
@@ -142,9 +139,6 @@ def _planes(columns: Int[np.ndarray, "k n"]) -> tuple[bytes, int]:
     codes = ((columns << 1) ^ (columns >> 31)).view(np.uint32)
     count = max((int(codes.max(initial=0)).bit_length() + 7) // 8, 1)
     return b"".join((codes >> 8 * plane).astype(np.uint8).tobytes() for plane in range(count)), count
-
-
-# ------------------------------------------------------------------------------------------------------------- reading
 
 
 class _Head(NamedTuple):

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from gcd_dataset.bodies import Wearer
 from gcd_dataset.errors import BodyError, GcdError
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.outfits import joined
@@ -31,7 +32,6 @@ from gcd_dataset.records import (
 Rows = tuple[tuple[str, str], ...]
 """Names and values of a table."""
 SPEC_SPACING = 2.0  # cm, of the mesh of a specification file
-WEARER = "neutral"  # the body beside a pattern without one
 TINY = 0.01  # cm: least radius that has a size class of its own
 PARALLEL = 1e-12  # cm³: least volume of edge and face for a crossing
 
@@ -68,13 +68,13 @@ class Content(Record):
     """Title to rows: outcome, measures, design, recipe."""
 
 
-def content_of(subject: Sample | Pattern, body: Body | None = None) -> Content:
-    """The content of a sample, or of a pattern alone, which is placed round the neutral body and meshed at 2 cm.
+def content_of(subject: Sample | Pattern, body: Body | None = None, *, wearer: Wearer | None = None) -> Content:
+    """The content of a sample, or of a pattern alone, which is placed round a body and meshed at 2 cm.
 
-    ``body``: the wearer; by default the body of the sample's shape weights, if they are of this package's body model.
-    A pattern that cannot be meshed has no mesh.
+    ``body``: of a sample; by default the body of its shape weights, if they are of this package's body model.
+    ``wearer``: of a pattern; by default the neutral body. A pattern that cannot be meshed has no mesh.
     """
-    return _of_pattern(subject) if isinstance(subject, Pattern) else _of_sample(subject, body)
+    return _of_pattern(subject, wearer or _neutral) if isinstance(subject, Pattern) else _of_sample(subject, body)
 
 
 def crossing_vertices(
@@ -86,9 +86,6 @@ def crossing_vertices(
     if body is not None:
         hit |= _crossing_edges(vertices, edges, body.vertices, body.faces, sharing=False)
     return np.unique(edges[hit])
-
-
-# -------------------------------------------------------------------------------------------------------------- stages
 
 
 def _of_sample(sample: Sample, body: Body | None) -> Content:
@@ -143,12 +140,12 @@ def _moving_body(sample: Sample, poses: Sequence[Pose]) -> Float[np.ndarray, "t 
     return None if home is None else np.stack([pose_body(home, pose).vertices for pose in poses])
 
 
-def _of_pattern(pattern: Pattern) -> Content:
+def _of_pattern(pattern: Pattern, wearer: Wearer) -> Content:
     from gcd_dataset.generator.dressing import dress
     from gcd_dataset.generator.dressing.hold_edges import has_legs
     from gcd_dataset.generator.mesh import build_box_mesh
 
-    body, measurements = _wearer(has_legs(pattern))
+    body, measurements = wearer(has_legs(pattern))
     counts = (("panels", str(len(pattern.panels))), ("seams", str(len(pattern.seams))))
     tables = {"Pattern": counts, "Design": tuple(_flat(pattern.extra.get("parameters") or {}))}
     try:
@@ -160,10 +157,10 @@ def _of_pattern(pattern: Pattern) -> Content:
 
 
 @cache
-def _wearer(legs_apart: bool) -> tuple[Body, Measurements]:
+def _neutral(legs_apart: bool) -> tuple[Body, Measurements]:
     from gcd_dataset.generator.body import named_body
 
-    body, measurements, _ = named_body(WEARER, legs_apart=legs_apart)
+    body, measurements, _ = named_body("neutral", legs_apart=legs_apart)
     return body, measurements
 
 
@@ -190,9 +187,6 @@ def _crossed(mesh: BoxMesh | None, drape: Drape | None, body: Body | None) -> In
     if drape.self_crossings == drape.body_crossings == drape.body_through == 0:
         return np.zeros(0, int)
     return crossing_vertices(np.asarray(drape.vertices, float), mesh.faces, body)
-
-
-# -------------------------------------------------------------------------------------------------------------- tables
 
 
 def _outfit_rows(outfit: Outfit) -> Iterator[tuple[str, str]]:
@@ -271,9 +265,6 @@ def _text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return "none" if value is None else str(value)
-
-
-# ----------------------------------------------------------------------------------------------------------- crossings
 
 
 def _crossing_edges(

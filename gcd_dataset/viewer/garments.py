@@ -13,15 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
 
-from gcd_dataset.errors import (
-    BodyError,
-    ConfigError,
-    GcdError,
-    PatternError,
-    RemoteError,
-    ShardError,
-    shown,
-)
+from gcd_dataset.bodies import Wearer
+from gcd_dataset.errors import BodyError, ConfigError, GcdError, PatternError, ShardError, shown
 from gcd_dataset.faults import require_valid
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern, picture_of
 from gcd_dataset.outfits import joined
@@ -44,7 +37,6 @@ KEPT_MATCHES = 32  # albums whose keys are kept as a mapping
 PREDICTED = re.compile("_(predicted|prediction)$")  # ends of names that are not part of a garment's
 FIGURES = ("iou", "panel_l2", "edge_count_acc", "stitch_f1", "combinatorial")  # of ``PatternScore``
 MOST_NAMES = 20  # names listed in a line
-REQUESTED = 256  # garments of a remote data set whose tags are requested at a time
 CHUNK = 64  # samples whose metadata are read at once; ``close`` waits for a chunk
 META = "meta.json"
 TAG, OUTCOME = "tag", "outcome"
@@ -93,12 +85,8 @@ class Album(ABC):
     title: str
     beside: tuple[str, ...] = ("",)
     """Headings of the pages of a garment, from left to right."""
-    waits: bool = False
-    """Whether ``read_tags`` reads only a part, and is to be called again for more."""
     known: int
     """Garments whose tags are known."""
-    problem: str = ""
-    """Why ``read_tags`` ended early; empty if it did not."""
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -159,19 +147,18 @@ def _at(matches: Int[np.ndarray, " m"], rank: int) -> Found:
 class ShardAlbum(Album):
     """A split of a data set. Grades, and which drapes settled, come from the index; ``read_tags`` reads the rest.
 
-    Tags of a local data set are read all at once; of a remote one ``REQUESTED`` at a time, since each takes a request.
+    Tags of a remote data set are not read, since each takes a request.
     """
 
     def __init__(self, reader: ShardReader, title: str, *, maps: bool = False) -> None:
         """``maps``: show garments in the colours of their maps. Raises ``ConfigError`` for a data set without maps."""
         require_maps(not maps or MAPS in reader.layout.members, title)
         self.title, self._maps = title, maps
-        self.waits = not isinstance(reader.store, FolderStore)
         self._reader, self._count = reader, len(reader)
         self._positions: dict[tuple[str, str], list[Int[np.ndarray, " m"]]] = {}
         self._lock, self._reading, self._closed = threading.Lock(), threading.Lock(), threading.Event()
-        self.problem = ""
-        self.known = 0 if META in reader.layout.members else self._count
+        is_local = isinstance(reader.store, FolderStore)
+        self.known = 0 if META in reader.layout.members and is_local else self._count
         rows = reader.rows(range(len(reader)))
         self._grade = reader.index.grade[rows]
         self._settled = reader.index.settled[rows]
@@ -203,17 +190,11 @@ class ShardAlbum(Album):
 
     def read_tags(self, between: Callable[[], None] | None = None) -> None:
         with self._reading:
-            self.problem = ""
-            last = min(self.known + REQUESTED, self._count) if self.waits else self._count
-            while self.known < last and not self._closed.is_set():
+            while self.known < self._count and not self._closed.is_set():
                 if between is not None:
                     between()
-                chunk = range(self.known, min(self.known + CHUNK, last))
-                try:
-                    self._add(chunk, self._metas(chunk))
-                except RemoteError as error:
-                    self.problem = str(error)
-                    break
+                chunk = range(self.known, min(self.known + CHUNK, self._count))
+                self._add(chunk, self._metas(chunk))
 
     def close(self) -> None:
         self._closed.set()
@@ -245,25 +226,11 @@ class ShardAlbum(Album):
         return dict(sorted(found.items()))
 
     def _metas(self, chunk: Sequence[int]) -> list[Mapping[str, Any]]:
+        """Of damaged garments, which their own pages and ``gcd check`` report, an empty mapping."""
         try:
             return [_parsed(members[META]) for members in self._reader.read_many(chunk, [META])]
-        except ShardError:  # ``gcd check`` reports damage; the garment's own page does too
-            return self._readable(chunk)
-
-    def _readable(self, chunk: Sequence[int]) -> list[Mapping[str, Any]]:
-        """Read one by one, an empty mapping for a damaged garment. Raises ``RemoteError`` if a server fails twice."""
-        metas: list[Mapping[str, Any]] = []
-        has_failed = False
-        for position in chunk:
-            try:
-                metas.append(_parsed(self._reader.read(position, [META])[META]))
-                has_failed = False
-            except ShardError as error:
-                if has_failed and isinstance(error, RemoteError):
-                    raise
-                metas.append({})
-                has_failed = isinstance(error, RemoteError)
-        return metas
+        except ShardError:
+            return [{}] if len(chunk) == 1 else [meta for position in chunk for meta in self._metas([position])]
 
     def _add(self, chunk: Sequence[int], metas: Sequence[Mapping[str, Any]]) -> None:
         found: dict[tuple[str, str], list[int]] = {}
@@ -290,8 +257,10 @@ class ShardAlbum(Album):
 class SpecAlbum(Album):
     """Specification files; with ``truth``, each beside the true pattern of the same name."""
 
-    def __init__(self, paths: Sequence[Path], title: str, truth: Mapping[str, Source] | None = None) -> None:
-        self.title, self._paths, self._truth = title, list(paths), truth or {}
+    def __init__(
+        self, paths: Sequence[Path], title: str, truth: Mapping[str, Source] | None = None, wearer: Wearer | None = None
+    ) -> None:
+        self.title, self._paths, self._truth, self._wearer = title, list(paths), truth or {}, wearer
         self.beside, self.known = ("",) if truth is None else ("predicted", "true"), len(self._paths)
 
     def __len__(self) -> int:
@@ -303,7 +272,7 @@ class SpecAlbum(Album):
     def page(self, position: int, side: int = 0) -> str:
         pattern = self._pattern(position, side)
         try:
-            return page_of(content_of(pattern))
+            return page_of(content_of(pattern, wearer=self._wearer))
         except Exception:  # predictions are shown unchecked; one that cannot be drawn breaks a rule
             require_valid(pattern, source=str(self._paths[position]) if not side else "")
             raise
@@ -410,9 +379,10 @@ def published_content(published: "PublishedGarmentCodeData", position: int) -> C
     return replace(content, tables={**content.tables, "Recipe": recipe})
 
 
-def spec_album(source: Path, truth: Path | ShardReader | None = None) -> SpecAlbum:
+def spec_album(source: Path, truth: Path | ShardReader | None = None, wearer: Wearer | None = None) -> SpecAlbum:
     """A specification file, or all of a folder; ``truth``: the same, or a data set, with true patterns.
 
+    ``wearer``: the body that the panels are placed round, with legs straight or apart, by default the neutral one.
     Raises ``ConfigError`` for a folder without any, and ``SpecError`` for a single file that is invalid.
     """
     paths = list(_by_key(source).values())
@@ -421,11 +391,11 @@ def spec_album(source: Path, truth: Path | ShardReader | None = None) -> SpecAlb
     if source.is_file():
         read_pattern(source)
     if isinstance(truth, ShardReader):
-        return SpecAlbum(paths, str(source), _patterns_of(truth))
+        return SpecAlbum(paths, str(source), _patterns_of(truth), wearer)
     true = None if truth is None else {key: partial(read_pattern, path) for key, path in _by_key(truth).items()}
     if true == {}:
         raise ConfigError(f"--truth {truth}: no specification file (.json): give true ones, or a data set")
-    return SpecAlbum(paths, str(source), true)
+    return SpecAlbum(paths, str(source), true, wearer)
 
 
 def _patterns_of(reader: ShardReader) -> dict[str, Source]:

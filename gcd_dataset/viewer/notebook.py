@@ -135,9 +135,6 @@ def dataset_html(dataset: "Garments") -> str:
     return f'<div>{heading}<div style="{BOX}">{shown}</div>{_paragraph(", ".join(dataset.fields))}</div>'
 
 
-# ------------------------------------------------------------------------------------------------------------- elements
-
-
 def _of_batch(batch: Mapping[str, Any], size: int) -> Iterator[str]:
     """Front or pattern of each garment of a batch."""
     metas = batch.get("meta") or [None] * size

@@ -61,9 +61,6 @@ def page_of(content: Content, *, maps: bool = False) -> str:
     return _filled(asset("page.html"), parts)
 
 
-# ----------------------------------------------------------------------------------------------------------------- text
-
-
 def _filled(template: str, parts: Mapping[str, str]) -> str:
     """The template with each ``{{name}}`` replaced once; the inserted texts are not searched again."""
     pieces = template.split("{{")
@@ -155,9 +152,6 @@ def _table(title: str, rows: Sequence[tuple[str, Any]]) -> str:
         f'<section class="card"><div class="strip"><h2>{escape(title)}</h2></div>'
         f'<div class="scroll" tabindex="0">{table(rows, breaks=True)}</div></section>\n'
     )
-
-
-# ----------------------------------------------------------------------------------------------------------------- data
 
 
 def _data(content: Content, plan: LayPlan) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The interactive viewer: a web server on this machine whose pages turn over garments, or design one by hand.
+"""The interactive viewer: a web server on this machine whose pages turn over garments.
 
 Each garment is shown by its self-contained page (``page``), in a frame below a bar to move and filter. Only this
 machine can reach the server, and only with the token in the printed address, which its pages send as a cookie: other
@@ -22,20 +22,14 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from os import environ
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.viewer.garments import Album, Filter, Found
-from gcd_dataset.viewer.notebook import asset, inline_svg, script_data
-from gcd_dataset.viewer.page import page_of
-
-if TYPE_CHECKING:
-    from gcd_dataset.viewer.design_desk import Desk
+from gcd_dataset.viewer.notebook import asset, script_data
 
 KEPT_PAGES = 16
-LARGEST_BODY = 1_000_000  # bytes of a request
-LARGEST_DRAINED = 16 * LARGEST_BODY  # bytes read of a request that is refused for its length
 LONGEST_WAIT = 1.0  # s that the reading of tags, and the end, wait for pages
 HOST = "127.0.0.1"
 LOCAL = (HOST, "localhost")
@@ -44,7 +38,7 @@ JSON, HTML = "application/json", "text/html; charset=utf-8"
 POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; frame-src 'self'"
 )
-"""Of the bar and the design page, whose scripts are this package's; texts of the data enter them as text nodes."""
+"""Of the bar, whose scripts are this package's; texts of the data enter them as text nodes."""
 
 Answer = tuple[HTTPStatus, str, bytes]
 """Status, type and content."""
@@ -88,13 +82,6 @@ class Gallery:
             return HTTPStatus.OK, HTML, page.encode()
         raise ConfigError(f"no page {path!r:.80}")
 
-    def post(self, path: str, given: Mapping[str, Any]) -> Answer:
-        """The answer to ``POST /more``, which reads more tags. Raises ``ConfigError`` for another path."""
-        if path == "/more":
-            self._read_tags()
-            return _json(self._facets())
-        raise ConfigError(f"no page {path!r:.80}")
-
     def close(self) -> None:
         """Stop the threads."""
         self._album.close()
@@ -116,8 +103,7 @@ class Gallery:
     def _facets(self) -> dict[str, Any]:
         album = self._album
         is_reading = self._reading is None or not self._reading.done()
-        progress = {"known": album.known, "count": len(album), "reading": is_reading, "waits": album.waits}
-        return asdict(album.facets()) | progress | {"problem": album.problem}
+        return asdict(album.facets()) | {"known": album.known, "count": len(album), "reading": is_reading}
 
     def _read_tags(self) -> None:
         """Begin to read tags, unless a thread reads them."""
@@ -178,52 +164,8 @@ class Gallery:
         return position
 
 
-class ShownDesign:
-    """Answers requests of the design page."""
-
-    def __init__(self, desk: "Desk") -> None:
-        self._desk, self._lock = desk, threading.Lock()
-
-    def get(self, path: str, query: Mapping[str, str]) -> Answer:
-        """The answer to ``GET path``. Raises ``ConfigError`` for another path."""
-        # Imported here: the drawing of designs takes as long to import as all the rest of a gallery.
-        from gcd_dataset.viewer.design_desk import controls, measure_controls
-
-        if path == "/":
-            groups = {"parameters": controls(self._desk.start), "measures": measure_controls(self._desk.size)}
-            given = {name: [asdict(one) | {"section": one.section} for one in group] for name, group in groups.items()}
-            return _html("design.html", "Design", given)
-        raise ConfigError(f"no page {path!r:.80}")
-
-    def post(self, path: str, given: Mapping[str, Any]) -> Answer:
-        """``/draw``: the pattern and its faults; ``/drape``: the page of the draped garment; ``/file``: a design file.
-
-        Raises ``GcdError`` for invalid values.
-        """
-        values, measures = given.get("values", {}), given.get("measures", {})
-        if not isinstance(values, dict) or not isinstance(measures, dict):
-            raise ConfigError("give objects of values and measures")
-        if path == "/draw":
-            drawing = self._desk.draw(values, measures)
-            svg = "" if drawing.pattern is None else inline_svg(drawing.pattern)
-            return _json({"svg": svg, "faults": drawing.faults, "used": sorted(drawing.used)})
-        if path == "/file":
-            return _json({"text": self._desk.file_text(values)})
-        if path == "/drape":
-            with self._lock:  # one drape at a time
-                return _json({"page": page_of(self._desk.draped(values, measures))})
-        raise ConfigError(f"no page {path!r:.80}")
-
-    def close(self) -> None:
-        """Nothing to stop."""
-
-    def has_ended(self) -> bool:
-        """Always: drapes are made by the threads of requests, which the end of the process does not wait for."""
-        return True
-
-
 def serve(
-    site: Gallery | ShownDesign,
+    site: Gallery,
     *,
     port: int = 0,
     show: Callable[[str], Any] | None = None,
@@ -264,9 +206,6 @@ def has_display() -> bool:
     return sys.platform == "darwin" or bool(environ.get("DISPLAY") or environ.get("WAYLAND_DISPLAY"))
 
 
-# ------------------------------------------------------------------------------------------------------------- requests
-
-
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
 
@@ -276,7 +215,7 @@ class _Server(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
 
-def _handler(site: Gallery | ShownDesign, token: str) -> type[BaseHTTPRequestHandler]:
+def _handler(site: Gallery, token: str) -> type[BaseHTTPRequestHandler]:
     name = f"gcd_{secrets.token_hex(4)}"  # its own: browsers share the cookies of all ports of a machine
 
     class Handler(BaseHTTPRequestHandler):
@@ -285,27 +224,8 @@ def _handler(site: Gallery | ShownDesign, token: str) -> type[BaseHTTPRequestHan
         def do_GET(self) -> None:
             self._answer(site.get)
 
-        def do_POST(self) -> None:
-            self._answer(lambda path, _: site.post(path, self._given()))
-
         def log_message(self, *args: Any) -> None:
             """Requests are not printed."""
-
-        def _given(self) -> dict[str, Any]:
-            length = self.headers.get("Content-Length", "")
-            if not length.isdecimal() or int(length) > LARGEST_BODY:
-                # A client that is still sending would not see the answer.
-                left = min(int(length), LARGEST_DRAINED) if length.isdecimal() else 0
-                while left > 0 and (piece := self.rfile.read(min(left, 1 << 16))):
-                    left -= len(piece)
-                raise ConfigError(f"a request of {length or 'unknown'} bytes: at most {LARGEST_BODY} are read")
-            try:
-                given = json.loads(self.rfile.read(int(length)))
-            except ValueError as error:
-                raise ConfigError(f"no JSON: {error}") from error
-            if self.headers.get_content_type() != JSON or not isinstance(given, dict):
-                raise ConfigError("give a JSON object as application/json")
-            return given
 
         def _answer(self, made: Callable[[str, dict[str, str]], Answer]) -> None:
             url = urlsplit(self.path)

@@ -322,9 +322,6 @@ def _to_rest(bone: str, bones: Mapping[str, _Joint]) -> Rotation:
     return Rotation.align_vectors(theirs, ours)[0]
 
 
-# ------------------------------------------------------------------------------------------------------------- walking
-
-
 @dataclass(frozen=True)
 class Gait:
     """A way of walking: amplitudes of the joints [degrees]. Chosen by us, near those of normal gait."""

@@ -103,7 +103,6 @@ def _require_within_reach(found: Float[np.ndarray, " u"], reach: float) -> None:
         )
 
 
-# -------------------------------------------------------------------------------------------------------- Gauss-Newton
 # Unknowns (u): the shape weights, then the arm angle in units of ARM_SPREAD.
 
 

@@ -184,9 +184,6 @@ def _at_border(levels: Mapping[str, float], marks: Landmarks, scale: float) -> d
     return {name: round(offset, 3) for name, offset in offsets.items() if abs(offset) > reach[name]}
 
 
-# --------------------------------------------------------------------------------------------------------------- sites
-
-
 @dataclass(frozen=True, eq=False)
 class Sites(Record):
     """The faces and edges near each measure: all that its plane may cut on any body with the same mesh."""
@@ -278,9 +275,6 @@ def arm_graph(mean: np.ndarray, faces: np.ndarray, shoulder: int, wrist: int) ->
     )
 
 
-# ------------------------------------------------------------------------------------------------------ level sections
-
-
 def _section_near(
     vertices: np.ndarray,
     sites: Sites,
@@ -340,9 +334,6 @@ def _between_legs(
             return middle, joined
         best = max(best, (middle, joined), key=lambda one: one[1])
     return best
-
-
-# ---------------------------------------------------------------------------------------------------- upright sections
 
 
 def _over_bust(vertices: np.ndarray, sites: Sites, marks: Landmarks, scale: float) -> Float[np.ndarray, "s 2 3"]:

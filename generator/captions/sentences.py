@@ -137,20 +137,14 @@ def _paragraph(garment: _Garment) -> list[tuple[str, list[str]]]:
     if garment.parts:
         above = at(*UPPER, Zone.WAIST)
         if len(above) > MOST_LISTED:
-            groups = [
-                ("It", at(Zone.NECK, Zone.SLEEVES)),
-                ("It", at(Zone.BODY, Zone.WAIST)),
-            ]
+            groups = [("It", at(Zone.NECK, Zone.SLEEVES)), ("It", at(Zone.BODY, Zone.WAIST))]
         else:
             groups = [("It", above)]
         groups.append((f"The {garment.lower}", at(Zone.LOWER, Zone.HEM)))
     elif garment.lower:
         groups = [(it, at(Zone.WAIST, Zone.LOWER)), (it, at(Zone.HEM))]
     else:
-        groups = [
-            (it, at(Zone.NECK, Zone.SLEEVES)),
-            (it, at(Zone.BODY, Zone.WAIST, Zone.HEM)),
-        ]
+        groups = [(it, at(Zone.NECK, Zone.SLEEVES)), (it, at(Zone.BODY, Zone.WAIST, Zone.HEM))]
         if len(garment.details) <= MOST_LISTED:
             groups = [(it, at(*Zone))]
     return [(subject, listed) for subject, listed in groups if listed]

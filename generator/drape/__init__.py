@@ -18,26 +18,7 @@ from gcd_dataset.generator.drape.loading import log_drape_time, seconds_per_garm
 from gcd_dataset.generator.drape.maps import maps_of
 
 __all__ = [
-    "DEFAULT_FABRIC",
-    "FABRICS",
-    "RANDOM_FABRIC",
-    "Bending",
-    "DrapeConfig",
-    "DrapeJob",
-    "Fabric",
-    "Tensile",
-    "batch_capacity",
-    "drape_all",
-    "drape_batch",
-    "drape_motion",
-    "drape_outfit",
-    "draw_fabric",
-    "every_device",
-    "fabric_named",
-    "layers_of",
-    "load_kernels",
-    "log_drape_time",
-    "maps_of",
-    "resolve_device",
-    "seconds_per_garment",
-]
+    "DEFAULT_FABRIC", "FABRICS", "RANDOM_FABRIC", "Bending", "DrapeConfig", "DrapeJob", "Fabric", "Tensile",
+    "batch_capacity", "drape_all", "drape_batch", "drape_motion", "drape_outfit", "draw_fabric", "every_device",
+    "fabric_named", "layers_of", "load_kernels", "log_drape_time", "maps_of", "resolve_device", "seconds_per_garment",
+]  # fmt: skip

@@ -139,11 +139,7 @@ class Pass:
         if config.sewing_start:
             fine = replace(fine, box_mesh=replace(mesh, vertices=sewing_start(mesh, fine.body, fine.under)))
         return replace(
-            self,
-            fine=fine,
-            coarse=None,
-            constraints=_constraints(self.fine, None, self.prepared),
-            coarse_frames=frames,
+            self, fine=fine, coarse=None, constraints=_constraints(self.fine, None, self.prepared), coarse_frames=frames
         )
 
     def refined(self, start: CoarseEnd | None, frames: int) -> Self:

@@ -90,12 +90,7 @@ def drape_outfit(jobs: Sequence[DrapeJob], config: DrapeConfig = DEFAULT, *, dev
 
 
 def drape_motion(
-    job: DrapeJob,
-    poses: Iterable[Pose],
-    config: DrapeConfig = DEFAULT,
-    *,
-    fps: float = FPS,
-    device: str = "auto",
+    job: DrapeJob, poses: Iterable[Pose], config: DrapeConfig = DEFAULT, *, fps: float = FPS, device: str = "auto"
 ) -> Iterator[Drape]:
     """One ``Drape`` for each pose that the body takes, ``fps`` a second; the garment is at rest in the first.
 

@@ -193,12 +193,7 @@ class Solver:
         """Search for contacts in the worlds where a search is due, then ``search_every`` substeps."""
         m, s = self.model, self.state
         s.search.any_search.zero_()
-        self.launch(
-            search.plan_search,
-            m.n_worlds,
-            [s.status],
-            [s.search, s.crossing],
-        )
+        self.launch(search.plan_search, m.n_worlds, [s.status], [s.search, s.crossing])
         wp.capture_if(s.search.any_search, self._search)
         for number in range(self.config.search_every):
             self._step(odd=number % 2 == 1, before_search=number + 1 == self.config.search_every)

@@ -150,12 +150,7 @@ class DraperAddress:
         command = [sys.executable, "-P", "-m", "gcd_dataset.generator.drapers.process", str(self.folder), self.device]
         command += ["--detached"] if self.detached else []
         process = subprocess.Popen(
-            command,
-            env=environment,
-            stdin=lock,
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
+            command, env=environment, stdin=lock, stdout=subprocess.PIPE, text=True, start_new_session=True
         )
         _processes.append(process)
         assert process.stdout is not None

@@ -29,11 +29,7 @@ ABOVE_WAIST = 15.0  # cm: largest height of a skirt's panel above the waist
 ABOVE_CROTCH = 4.0  # cm above the crotch: a tall panel that ends higher covers the trunk
 BAND = 24.0  # cm: a panel above this height counts as tall
 UNDER_CROTCH = 2.0  # cm below the crotch: a short panel that ends higher is a band and covers the trunk
-POSITIONS = {
-    PanelRole.ARM: "beside an arm",
-    PanelRole.LEG: "round hips and legs",
-    PanelRole.BODY: "round the trunk",
-}
+POSITIONS = {PanelRole.ARM: "beside an arm", PanelRole.LEG: "round hips and legs", PanelRole.BODY: "round the trunk"}
 
 
 def label_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
@@ -151,9 +147,6 @@ def hang_from_lay_plan(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple
     )
 
 
-# ------------------------------------------------------------------------------------------------------- on the table
-
-
 def _flat_panel(panel: Panel) -> _FlatPanel:
     """A panel on the table: a back if its right side faces the table."""
     facing = 1.0 if shapely.LinearRing(panel_outline(panel)).is_ccw else -1.0
@@ -229,9 +222,6 @@ def _closed_share(table: Mapping[str, _FlatPanel], pattern: Pattern) -> float:
             gathered = abs(length - float(np.abs(np.diff(right)).sum()))
             closed += length if np.abs(left - right).mean() < CLOSED + gathered / 2 else 0.0
     return closed / total if total else 1.0
-
-
-# ------------------------------------------------------------------------------------------------------- on the body
 
 
 def _hang(table: Mapping[str, _FlatPanel], pattern: Pattern, wearer: Wearer) -> Pattern:

@@ -269,12 +269,7 @@ class _Panel:
         return np.cross(axis, sideways), sideways
 
     def _radii(
-        self,
-        limb: Limb,
-        normal: Float[np.ndarray, "3"],
-        sideways: Float[np.ndarray, "3"],
-        root: float,
-        shrink: float,
+        self, limb: Limb, normal: Float[np.ndarray, "3"], sideways: Float[np.ndarray, "3"], root: float, shrink: float
     ) -> Float[np.ndarray, " n"]:
         """Radius of the cross section of each row [cm]; ``root``: position of the panel's root along the limb."""
         skin = limb.skin - limb.origin

@@ -29,25 +29,9 @@ from gcd_dataset.generator.garments.sampling import (
 from gcd_dataset.generator.garments.wearable import DrawnDesign, Redraw
 
 __all__ = [
-    "TAGS",
-    "DrawnDesign",
-    "DrawnGarment",
-    "GarmentDesign",
-    "Kind",
-    "Redraw",
-    "Reject",
-    "attempted_design",
-    "check_design",
-    "design_from_dict",
-    "design_to_dict",
-    "drafted_design",
-    "draw_garment",
-    "garment_tags",
-    "read_design",
-    "sample_design",
-    "sample_draft",
-    "sample_kind",
-    "try_on",
-]
+    "TAGS", "DrawnDesign", "DrawnGarment", "GarmentDesign", "Kind", "Redraw", "Reject", "attempted_design",
+    "check_design", "design_from_dict", "design_to_dict", "drafted_design", "draw_garment", "garment_tags",
+    "read_design", "sample_design", "sample_draft", "sample_kind", "try_on",
+]  # fmt: skip
 
 outfit_tags = garment_tags  # its earlier name, which programs of others use

@@ -71,13 +71,7 @@ def with_shoulder(outline: Outline, size: Measurements, *, fall: float, length: 
 
 
 def front_or_back(
-    name: str,
-    right: Outline,
-    size: Measurements,
-    hole: NeckHole,
-    *,
-    front: bool,
-    neckline: Neckline = Neckline.CIRCLE,
+    name: str, right: Outline, size: Measurements, hole: NeckHole, *, front: bool, neckline: Neckline = Neckline.CIRCLE
 ) -> Piece:
     """A whole front or back, placed at the neck, from its right half, drawn from the neck to the middle of the hem.
 

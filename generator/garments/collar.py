@@ -104,11 +104,7 @@ class CollarDesign(Design):
     """Height of the hood, as a fraction of nape to crown."""
 
 
-STYLES: Mapping[Collar, Tag] = {
-    Collar.TURTLENECK: Tag.TURTLENECK,
-    Collar.LAPEL: Tag.LAPEL,
-    Collar.HOOD: Tag.HOODED,
-}
+STYLES: Mapping[Collar, Tag] = {Collar.TURTLENECK: Tag.TURTLENECK, Collar.LAPEL: Tag.LAPEL, Collar.HOOD: Tag.HOODED}
 """The tag of each collar."""
 
 

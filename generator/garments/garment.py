@@ -91,9 +91,6 @@ def section_of(garment: Garment[Any]) -> Any:
     return part(garment.design, key=garment.section)
 
 
-# -------------------------------------------------------------------------------------------------------------- uppers
-
-
 @dataclass(frozen=True, kw_only=True)
 class UpperGarment(Garment[D]):
     """A garment that hangs from the shoulders."""
@@ -135,9 +132,6 @@ class SimpleUpper(UpperGarment[D]):
 
     def describe(self, setting: Setting, design: "GarmentDesign") -> Description:
         return self.description_of(self.section_design(design))
-
-
-# ------------------------------------------------------------------------------------------------------------- bottoms
 
 
 @dataclass(frozen=True, slots=True)

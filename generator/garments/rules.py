@@ -297,27 +297,11 @@ def unsewable(garment: DrawnGarment) -> Reject | None:
 
 
 RULES: tuple[Callable[[DrawnGarment], Reject | None], ...] = (
-    reaches_floor,
-    slides_off,
-    loose_gathers,
-    too_heavy,
-    tight_cuff,
-    too_tight,
-    overloaded_straps,
-    overloaded_hips,
-    narrow_shoulder,
-    mismatched_seam,
-    self_crossing,
-    short_edge,
-    unsewable,
-    narrow_strap,
-    sharp_corner,
-)
+    reaches_floor, slides_off, loose_gathers, too_heavy, tight_cuff, too_tight, overloaded_straps, overloaded_hips,
+    narrow_shoulder, mismatched_seam, self_crossing, short_edge, unsewable, narrow_strap, sharp_corner,
+)  # fmt: skip
 WORN = (too_tight, slides_off, tight_cuff, reaches_floor, cannot_be_put_on)
 """The rules about the wearer: on the body for which a garment is cut they reject, on another they are labels."""
-
-
-# ------------------------------------------------------------------------------------------------------------- figures
 
 
 def room_to_floor(size: Measurements, design: GarmentDesign) -> float:

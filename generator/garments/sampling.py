@@ -140,10 +140,7 @@ def attempted_design(
 
 
 def _meta(
-    rng: np.random.Generator,
-    kind: Kind,
-    space: DesignSpace[MetaDesign],
-    narrow: Callable[[Choice], Choice] | None,
+    rng: np.random.Generator, kind: Kind, space: DesignSpace[MetaDesign], narrow: Callable[[Choice], Choice] | None
 ) -> MetaDesign:
     """A random upper, band and bottom."""
     _, has_bottom = HAS_UPPER_AND_BOTTOM[kind]

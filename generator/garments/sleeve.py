@@ -146,12 +146,7 @@ def sleeve_words(
 
 @lru_cache(maxsize=8)  # sampling draws it to measure its cuff, then the half draws it again
 def sleeve(
-    size: Measurements,
-    design: SleeveDesign,
-    front_armhole: Stroke,
-    back_armhole: Stroke,
-    *,
-    mends: frozenset[Mend],
+    size: Measurements, design: SleeveDesign, front_armhole: Stroke, back_armhole: Stroke, *, mends: frozenset[Mend]
 ) -> Component:
     """The right sleeve for two armholes, along the arm, with its cuff; offers ``opening`` (front up, then back down).
 

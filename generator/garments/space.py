@@ -94,10 +94,7 @@ def integer(default: int, low: int, high: int, *, keep: float | None = None) -> 
 
 
 def choice(
-    default: Enum | float | None,
-    *options: Enum | float | None,
-    keep: float | None = None,
-    weights: Sequence[int] = (),
+    default: Enum | float | None, *options: Enum | float | None, keep: float | None = None, weights: Sequence[int] = ()
 ) -> Any:
     """One of several options, enum members or numbers; ``None`` means none of them. ``weights``: see ``Choice``."""
     return _parameter(Choice(default, keep, options, tuple(weights)))
@@ -133,9 +130,6 @@ def with_parts(kinds: Mapping[str, type[Design]]) -> Callable[[type[P]], type[P]
 
 def _parameter(space: Space) -> Any:
     return field(default=space.default, metadata={"space": space})
-
-
-# --------------------------------------------------------------------------------------------------------- whole spaces
 
 
 class FieldEntry(NamedTuple):
@@ -244,12 +238,7 @@ def draw(kind: type[D] | DesignSpace[D], rng: np.random.Generator) -> D:
 
 
 def redrawn(
-    space: DesignSpace[D],
-    design: D,
-    path: str,
-    rng: np.random.Generator,
-    low: float = -np.inf,
-    high: float = np.inf,
+    space: DesignSpace[D], design: D, path: str, rng: np.random.Generator, low: float = -np.inf, high: float = np.inf
 ) -> D:
     """The design with the parameter, or the whole part, at a path of design files drawn again.
 
@@ -349,9 +338,6 @@ def _space(kind: type[D] | DesignSpace[D]) -> DesignSpace[D]:
 
 def _key(entry: Any) -> str:
     return str(entry.metadata.get("key") or entry.name)
-
-
-# --------------------------------------------------------------------------------------------------------- plain values
 
 
 def to_dict(design: Design) -> dict[str, Any]:

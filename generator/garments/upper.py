@@ -164,11 +164,7 @@ def _pair_of_cuffs(arms: list["_Arm"]) -> tuple[Detail, ...]:
 def _single_cuffs(arms: list["_Arm"], where: list[str]) -> tuple[Detail, ...]:
     """Each cuff by itself; ``where``: words after it."""
     return tuple(
-        Detail(
-            Zone.SLEEVES,
-            (single_cuff_words(arm.cuff, arm.cuff_length, arm.gathers) + place,),
-            sided=bool(place),
-        )
+        Detail(Zone.SLEEVES, (single_cuff_words(arm.cuff, arm.cuff_length, arm.gathers) + place,), sided=bool(place))
         for arm, place in zip(arms, where, strict=True)
         if arm.cuff
     )
@@ -194,10 +190,7 @@ def _one_shoulder(setting: Setting, halves: tuple[UpperHalf, ...], *, side: int)
         return (Detail(Zone.NECK, (f"a shoulder strap on the {name} only",), main=True, sided=True),)
     worn = _Arm(arm, setting, name)
     single = with_article(worn.words(pair=False)[0])
-    return (
-        Detail(Zone.SLEEVES, (f"{single} on the {name}",), main=True, sided=True),
-        *_single_cuffs([worn], [""]),
-    )
+    return (Detail(Zone.SLEEVES, (f"{single} on the {name}",), main=True, sided=True), *_single_cuffs([worn], [""]))
 
 
 def shirt(size: Measurements, design: "GarmentDesign", *, fitted: bool, mends: frozenset[Mend]) -> Component:

@@ -225,8 +225,6 @@ class _Fitting:
         widest = min(max(size.waist, size.hips) / top_girth(size, snug) for size in self.sizes)
         return self.redrawing.within(design, "slides_off", "waistband.waist", 1.0, widest)
 
-    # ---------------------------------------------------------------------------------------------------------- uppers
-
     def with_upper(self, design: GarmentDesign) -> GarmentDesign:
         """The design with an upper that can be sewn and worn."""
         assert design.meta.upper is not None
@@ -329,8 +327,6 @@ class _Fitting:
 
     def _is_tight(self, design: GarmentDesign) -> bool:
         return any(is_too_tight(size, design) for size in self.sizes)
-
-    # --------------------------------------------------------------------------------------------------------- bottoms
 
     def with_light_cloth(self, design: GarmentDesign) -> GarmentDesign:
         """The design with a narrower or shorter bottom while shoulder seams or hips carry too much cloth."""

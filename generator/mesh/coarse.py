@@ -221,9 +221,6 @@ def coarsen(mesh: BoxMesh) -> CoarseMesh:
     return _join(mesh, borders, thinned, _fill(mesh, borders, thinned))
 
 
-# ---------------------------------------------------------------------------------------------------------------- fill
-
-
 @dataclass(frozen=True)
 class _Filled:
     """The coarse panels: the kept points of all borders, then seeds panel by panel; ``q`` counts both."""
@@ -303,9 +300,6 @@ def _scaled(
         yield flat[loop], mirror[k] / np.sort(length[loop])[round(TYPICAL * (size - 1))], middle[k]
 
 
-# ---------------------------------------------------------------------------------------------------------------- join
-
-
 def _join(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned, filled: _Filled) -> CoarseMesh:
     """The coarse panels joined along the seams of the fine mesh: kept vertices first, in their order, then seeds."""
     number = np.cumsum(thinned.kept) - 1
@@ -339,10 +333,7 @@ def _panel_of_rows(mesh: BoxMesh, panels: Int[np.ndarray, " p"]) -> Int[np.ndarr
 
 
 def _in_space(
-    mesh: BoxMesh,
-    fine_panel: Int[np.ndarray, " c"],
-    points: Float[np.ndarray, "m 2"],
-    panel: Int[np.ndarray, " m"],
+    mesh: BoxMesh, fine_panel: Int[np.ndarray, " c"], points: Float[np.ndarray, "m 2"], panel: Int[np.ndarray, " m"]
 ) -> Float[np.ndarray, "m 3"]:
     """Flat points of panels in space before sewing [cm], by the affine map of each panel's vertices on no seam."""
     used = fine_panel >= 0

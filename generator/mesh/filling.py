@@ -60,9 +60,6 @@ def set_face(faces: Rows, face: int, a: int, b: int, c: int):
     faces[face, 2] = c
 
 
-# ------------------------------------------------------------------------------------------------------- the outline
-
-
 @wp.func
 def is_convex(points: Points, a: int, k: int, b: int, slack: f64) -> int:
     return wp.where(turn(points[a], points[k], points[b]) > slack, 1, 0)
@@ -194,9 +191,6 @@ def flip_sides(points: Points, faces: Rows, beside: Rows, stack: Numbers, waitin
                         top += 1
                     side = 3
             side += 1
-
-
-# --------------------------------------------------------------------------------------------------------- the inside
 
 
 @wp.func
@@ -562,13 +556,7 @@ def find(
     for k in range(size[4]):
         p = queries[k]
         start = near_face(
-            cells,
-            touching,
-            size[3],
-            size[2],
-            (p[1] - option[1]) / pitch / ROW_64,
-            (p[0] - option[0]) / pitch,
-            last,
+            cells, touching, size[3], size[2], (p[1] - option[1]) / pitch / ROW_64, (p[0] - option[0]) / pitch, last
         )
         face = walk_to(points, faces, beside, start, p)
         if face < 0:

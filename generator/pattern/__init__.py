@@ -24,25 +24,7 @@ from gcd_dataset.generator.pattern.piece import Interface, Piece, backwards
 from gcd_dataset.generator.pattern.stroke import Stroke, chain_from, rotate
 
 __all__ = [
-    "Component",
-    "Interface",
-    "MeasuredJoin",
-    "Outline",
-    "Piece",
-    "Stroke",
-    "assemble",
-    "assemble_and_measure",
-    "backwards",
-    "chain_from",
-    "cut_corner",
-    "cut_end",
-    "cut_into",
-    "dart",
-    "measure_joins",
-    "notch",
-    "panel_of",
-    "rotate",
-    "s_shaped_cubic",
-    "smooth_cubic",
-    "tangent_quadratic",
-]
+    "Component", "Interface", "MeasuredJoin", "Outline", "Piece", "Stroke", "assemble", "assemble_and_measure",
+    "backwards", "chain_from", "cut_corner", "cut_end", "cut_into", "dart", "measure_joins", "notch", "panel_of",
+    "rotate", "s_shaped_cubic", "smooth_cubic", "tangent_quadratic",
+]  # fmt: skip

@@ -95,9 +95,6 @@ def test_ten_valid_patterns_of_each_design_are_sewn() -> None:
     assert len(designs) == 9
 
 
-# ------------------------------------------------------------------------------------------------------------------ run
-
-
 @pytest.fixture(autouse=True)
 def tape(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """``tape`` is the only case; reports of the tree go to a temporary folder."""
@@ -142,9 +139,6 @@ def test_a_jpeg_has_no_other_ending() -> None:
     assert jpeg_file("drapes.JPG") == Path("drapes.JPG")
     with pytest.raises(argparse.ArgumentTypeError, match=r"drapes.png: the picture is a JPEG"):
         jpeg_file("drapes.png")
-
-
-# -------------------------------------------------------------------------------------------------------------- loaders
 
 
 COUNT = 32

@@ -85,9 +85,6 @@ def test_a_pattern_that_cannot_be_read_is_named_and_the_others_are_measured(
     assert "| bad |  | REFUSED |" in report.read_text()
 
 
-# --------------------------------------------------------------------------------------------------------------- parity
-
-
 def test_a_pattern_agrees_with_itself() -> None:
     found = compare(napkins(), napkins())
     assert not found.structure

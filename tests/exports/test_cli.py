@@ -76,7 +76,6 @@ def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_pat
         (["SHARDS", "--glb", "a.gltf"], 2, "a.gltf: the file is GLB: end its name in .glb"),
         (["SHARDS", "--glb", "a.glb", "--pdf", "a.pdf"], 2, "--glb, --obj, --ply, --usd, --dxf, --pdf: one of them"),
         (["SHARDS", "--glb", "a.glb", "--tile", "0"], 2, "a texture tile of 0 cm: give one from 0.01 to 10000 cm"),
-        (["SHARDS", "--glb", "a.glb", "--tile", "1e-300"], 2, "a texture tile of 1e-300 cm: give one from 0.01"),
         (
             ["SHARDS", "--hdf5", "a.h5", "--index", "1"],
             2,
@@ -85,9 +84,7 @@ def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_pat
         (["SHARDS", "--ply", "a.ply", "--no-body"], 2, "--no-body is for --glb, --obj, --usd: leave it out"),
         (["SHARDS", "--pdf", "a.pdf", "--paper", "a"], 2, "no paper a: choose from a4, letter"),
         (["SPEC", "--pdf", "no/such/a.pdf"], 1, "no/such/a.pdf: cannot be written"),
-        (["SPEC", "--usd", "a.glb"], 2, "a.glb: the file is USD: end its name in .usd"),
         (["SPEC", "SPEC", "--glb", "a.glb"], 2, "--glb a.glb: 2 files are exported: give a folder"),
-        (["SHARDS", "SHARDS", "--glb", "a.glb"], 2, "2 inputs: give one data set, or specification files"),
         (["SPEC", "--pdf", "a.pdf", "--index", "0"], 2, "--index is for a data set, and"),
         (
             ["SPEC", "--dxf", "a.dxf", "--seam-allowance", "-1"],

@@ -21,12 +21,9 @@ from torch.utils.data import DataLoader
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import DraperAddress, SharedDraper
-from gcd_dataset.generator.drapers.address import _create, socket_file
-from gcd_dataset.generator.maker import produce
-from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.generator.drapers.address import socket_file
 from gcd_dataset.loaders import FakeGarments, FreshGarments, collate_list
-from gcd_dataset.shards.layout import key_of
-from tests.loaders.draping import COUNT, SKIRTS, Apart, drape_request, drapers, items, kill_drapers, own_address
+from tests.loaders.draping import COUNT, Apart, drape_request, drapers, items, kill_drapers, own_address
 from tests.loaders.test_shards import assert_all_same
 
 
@@ -128,27 +125,6 @@ def test_fresh_garments_resume_after_their_draper_was_killed(address: DraperAddr
     fresh.load_state_dict(fresh.state_dict())
     given.extend(item["meta"]["index"] for item in islice(fresh, 1))
     assert given == whole[: len(given)]
-
-
-def test_a_draper_killed_under_workers_is_one_error(address: DraperAddress, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.generator.maker.addresses_for", lambda devices: (address,))
-    config = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16, design=SKIRTS, on_fail="keep")
-    made = produce(5, range(100), config, workers=2)
-    given = [next(made)]
-    kill_drapers(address)
-    with pytest.raises(DrapeError, match="drapes on cpu has ended"):
-        given.extend(made)
-    assert [sample.key for sample in given] == [key_of(index) for index in range(len(given))]
-
-
-def test_workers_are_distributed_over_the_draping_processes(address: DraperAddress) -> None:
-    ds = Apart(COUNT, address)
-    addresses = (address, _create("cpu"))
-    ds._addresses = addresses
-    assert_all_same(FreshGarments(ds, room=1, workers=2), items())
-    assert [len(drapers(each)) for each in addresses] == [1, 1]
-    (addresses[1].folder / "owner").unlink()
-    kill_drapers(addresses[1])
 
 
 def test_a_failing_draper_reports_the_error_and_is_replaced(

@@ -60,9 +60,7 @@ SMALLER = {
 """Document to the texts of its blocks that a test replaces: fewer garments, coarser meshes, no GPU."""
 DRAPED = {"scans": "garments", "sketches": "garments", "exports": "shards"}
 """Document to the name of a folder with two draped garments, which it takes for granted."""
-BEFORE = {
-    "evaluate": ["gcd generate garments --count 4 --stage pattern --seed 3 --quiet", "python specifications.py"],
-}
+BEFORE = {"evaluate": ["gcd generate garments --count 4 --stage pattern --seed 3 --quiet", "python specifications.py"]}
 """Document to the commands that make what else it takes for granted."""
 SPECIFICATIONS = """
 import json

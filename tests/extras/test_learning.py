@@ -44,11 +44,7 @@ def skirts() -> GarmentSet:
 
 
 @pytest.mark.parametrize(
-    ("model", "options"),
-    [
-        ("parameters", {**FEW, "labelled": 1}),
-        ("picture_parameters", {"views": 1}),
-    ],
+    ("model", "options"), [("parameters", {**FEW, "labelled": 1}), ("picture_parameters", {"views": 1})]
 )
 def test_the_loss_falls(model: str, options: dict[str, int], skirts: GarmentSet) -> None:
     torch.manual_seed(0)

@@ -2,9 +2,7 @@
 
 import gc
 import multiprocessing
-import os
 import random
-import signal
 import subprocess
 import sys
 import threading
@@ -12,7 +10,7 @@ import time
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 import torch
@@ -91,33 +89,6 @@ def is_alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-ONE_THREAD = """
-import os, torch
-from gcd_dataset.loaders import collate_packed, collate_padded
-from gcd_dataset.loaders.batches import copy_tensor
-
-def threads():
-    return len(os.listdir("/proc/self/task"))
-
-torch.set_num_threads(4)
-rows = [10**6, 10**5]
-items = [{"verts": torch.empty(n, 3), "faces": torch.empty(n, 3, dtype=torch.int32)} for n in rows]
-more, before = [{"points": torch.empty(10**6, 6)}] * 2, threads()
-collate_packed([{name: copy_tensor(value) for name, value in item.items()} for item in items])
-collate_packed(more), collate_padded(items)
-assert threads() == before, "others have helped"
-more[0]["points"].clone()
-assert threads() > before, "torch has no other threads: nothing was tested"
-"""
-
-
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc/self/task")
-def test_large_arrays_are_copied_by_one_thread() -> None:
-    """torch's threads spin after each call and take cores from the workers."""
-    done = subprocess.run([sys.executable, "-c", ONE_THREAD], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 AT_THE_END = """
@@ -216,36 +187,6 @@ def require_resumed(ds: Any, workers: int, log: Path, *, kills: int) -> None:
     run(None)
     whole = GarmentLoader(ds, 4)
     assert torch.load(log)["seen"] == [number for _ in range(epochs) for batch in whole for number in ids(batch)]
-
-
-class Watched(DataLoader):
-    """A ``DataLoader`` whose worker queue the test can read."""
-
-    sent: ClassVar[list[Connection]] = []
-
-    def __iter__(self) -> Any:
-        made: Any = super().__iter__()
-        self.sent.append(made._worker_result_queue._reader)
-        return made
-
-
-def test_tensors_are_received_without_a_reply_of_the_worker(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A busy worker, here stopped by a signal, cannot reply."""
-    monkeypatch.setattr("gcd_dataset.loaders.fresh.DataLoader", Watched)
-    others = set(multiprocessing.active_children())
-    made = iter(FreshGarments(FakeGarments(99, fields=["meta", "verts"]), room=1, workers=1))
-    next(made)
-    [worker] = set(multiprocessing.active_children()) - others
-    assert worker.pid is not None
-    assert Watched.sent.pop().poll(120)  # the worker has made the next item
-    os.kill(worker.pid, signal.SIGSTOP)
-    goes_on = threading.Timer(30.0, os.kill, (worker.pid, signal.SIGCONT))
-    goes_on.start()
-    item = next(made)
-    assert goes_on.is_alive(), "waited for the worker"
-    goes_on.cancel()
-    os.kill(worker.pid, signal.SIGCONT)
-    assert item["verts"].isfinite().all()
 
 
 class Uneven(FakeGarments):

@@ -173,9 +173,6 @@ def test_missing_data_sets_and_credentials_are_reported(
         opened(published, tmp_path)
 
 
-# ------------------------------------------------------------------------------------------------------- other programs
-
-
 def barest_first() -> list[Sample]:
     """Real garments: the first five with as many missing values as possible, the others with all values."""
     bare = sorted(patterns(16), key=lambda sample: len(sample.pattern.panels))

@@ -1,4 +1,4 @@
-"""The viewer in headless Chromium: move, filter, jump, hover, predictions beside truth, and a design by hand."""
+"""The viewer in headless Chromium: move, filter, jump, hover, and predictions beside truth."""
 
 import argparse
 import os
@@ -18,16 +18,12 @@ import numpy as np
 import pytest
 
 from gcd_dataset.cli.show import _album
-from gcd_dataset.hub.remote import Remote, open_store
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.spec import write_pattern
-from gcd_dataset.viewer import garments as album_module
-from gcd_dataset.viewer.design_desk import Desk
 from gcd_dataset.viewer.garments import ShardAlbum, spec_album
-from gcd_dataset.viewer.server import Gallery, ShownDesign, serve
-from tests.hub.server import running_hub
+from gcd_dataset.viewer.server import Gallery, serve
 from tests.release.published import publish
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make test-extras")
@@ -46,7 +42,7 @@ def browser() -> Iterator[Any]:
 
 
 @contextmanager
-def opened(browser: Any, site: Gallery | ShownDesign) -> Iterator[Any]:
+def opened(browser: Any, site: Gallery) -> Iterator[Any]:
     """The site's first page; fails for errors that the browser reports."""
     found: list[Any] = []
     ready = threading.Event()
@@ -190,6 +186,7 @@ def test_the_next_garment_is_drawn_before_it_is_asked_for(browser: Any, garments
 def test_published_data_opens_by_its_folder(browser: Any, tmp_path: Path) -> None:
     root = publish(tmp_path)
     options = argparse.Namespace(what=str(root), split="train", truth=None, endpoint=None, index=0, maps=False)
+    vars(options).update(dict.fromkeys(("body", "measurements", "segmentation", "height", "betas")))
     with opened(browser, Gallery(_album(options))) as page:
         expect = sync_api.expect
         expect(page.locator("#status")).to_have_text("1 of 4")
@@ -200,31 +197,6 @@ def test_published_data_opens_by_its_folder(browser: Any, tmp_path: Path) -> Non
         expect(page.frame_locator("iframe.shown").locator(".tables")).to_contain_text(
             "missing, so the body is left out"
         )
-
-
-def test_kinds_of_a_remote_data_set_are_read_in_parts(
-    browser: Any, garments: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(album_module, "REQUESTED", 2)
-    with running_hub() as hub:
-        files = (path for path in garments.rglob("*") if path.is_file())
-        hub.static |= {f"set/{path.relative_to(garments)}": path.read_bytes() for path in files}
-        url = f"{hub.endpoint}/files/set"
-        reader = ShardReader(open_store(url, Remote(cache_dir=tmp_path)))
-        with opened(browser, Gallery(ShardAlbum(reader, url))) as page:
-            expect = sync_api.expect
-            assert heading(page) == "gcd_000000000"
-            expect(page.locator("#kind option").first).to_have_text("All kinds (2 of 5 read)")
-            page.select_option("#kind", "dress")
-            expect(page.locator("#status")).to_have_text("1 of 1")
-            page.select_option("#outcome", "grade:failed")  # known of all garments, from the index
-            expect(page.locator("#problem")).to_contain_text("among the 2 whose kind is known so far")
-            for text in ("All kinds (4 of 5 read)", "All kinds"):
-                page.click("#more")
-                expect(page.locator("#kind option").first).to_have_text(text)
-            expect(page.locator("#more")).to_be_hidden()
-            page.select_option("#kind", "skirt")
-            expect(page.locator("#status")).to_have_text("1 of 1")
 
 
 def test_a_damaged_garment_shows_its_error_and_the_next_one_opens(browser: Any, tmp_path: Path) -> None:
@@ -375,21 +347,3 @@ def test_predictions_beside_the_truth_light_up_with_their_matches(browser: Any, 
         page.click("#next")
         sync_api.expect(page.frame_locator("iframe.shown").nth(1).locator("h1")).to_have_text("b")
         assert [frame(page, side).evaluate("gcdPage.state.yaw") for side in (0, 1)] == yaws
-
-
-def test_a_slider_redraws_the_pattern_and_a_button_drapes_it(browser: Any) -> None:
-    with opened(browser, ShownDesign(Desk())) as page:
-        sync_api.expect(page.locator("#fine")).to_have_text("Can be sewn and worn.")
-        before = page.inner_html("#pattern")
-        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
-        slider = page.locator("[data-path='flare-skirt.length']")
-        slider.evaluate("(input) => { input.value = 0.6; input.dispatchEvent(new Event('input')); }")
-        page.wait_for_function("(before) => document.getElementById('pattern').innerHTML !== before", arg=before)
-        page.select_option("[data-path='meta.upper']", label="none")
-        page.select_option("[data-path='meta.bottom']", label="none")
-        sync_api.expect(page.locator("#faults")).to_contain_text("choose meta.upper or meta.bottom")
-        page.select_option("[data-path='meta.bottom']", label="Skirt2")
-        page.select_option("[data-path='meta.wb']", label="StraightWB")
-        page.wait_for_selector("#pattern svg")
-        page.click("#drape")
-        sync_api.expect(page.frame_locator("#garment").locator("h1")).to_have_text("Design", timeout=120_000)

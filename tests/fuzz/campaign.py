@@ -84,9 +84,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if faults else 0
 
 
-# -------------------------------------------------------------------------------------------------------------- trials
-
-
 class _HangError(BaseException):
     """Raised by the timer; as a ``BaseException`` it passes the ``except Exception`` of a reader."""
 

@@ -73,8 +73,6 @@ def _mutation(content: bytes, kind: str, chance: random.Random) -> bytes:
     return content
 
 
-# ----------------------------------------------------------------------------------------------------------- documents
-
 DEEP = 3000  # levels: more than any parser of the standard library recurses
 WORDS = ("", "..", "../../x", "/x", "\0", "a\nb", "NaN", "1e999", "right_wrong", "ф" * 300, "\ud800", "é\u202e")
 NUMBERS = (

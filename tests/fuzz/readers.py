@@ -32,23 +32,16 @@ from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
-from gcd_dataset.jsonfile import JsonPath, parse_json, read_toml
-from gcd_dataset.loaders import (
-    BodyDataset,
-    GarmentDataset,
-    GarmentLoader,
-    Hdf5Garments,
-    PublishedGarmentCodeData,
-)
+from gcd_dataset.jsonfile import read_toml
+from gcd_dataset.loaders import BodyDataset, GarmentDataset, GarmentLoader, Hdf5Garments, PublishedGarmentCodeData
 from gcd_dataset.records import Drape, Layer, Outcome, Outfit, Sample, WornGarment
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.codec import decode_field, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import FIELDS, fields_of, member_of
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
-from gcd_dataset.viewer.design_desk import Desk, controls
 from gcd_dataset.viewer.garments import spec_album
-from gcd_dataset.viewer.server import Gallery, ShownDesign
+from gcd_dataset.viewer.server import Gallery
 from tests.release.published import pack
 
 
@@ -85,8 +78,6 @@ def _plain(value: Any) -> Any:
     return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
-# ------------------------------------------------------------------------------------------------------------ garments
-
 CONFIG = MakeConfig(stage="mesh", resolution=8.0, points=64)
 COUNT = 2
 
@@ -118,9 +109,6 @@ def _with_drape(sample: Sample) -> Sample:
     picture = jpeg_bytes(np.full((16, 16, 3), 90 + sample.provenance.index, np.uint8))
     drape = Drape(sample.box_mesh.vertices, Outcome.SETTLED, 100, 3, 0, 1.0, 1.1)
     return replace(sample, drape=drape, front=picture, back=picture)
-
-
-# -------------------------------------------------------------------------------------------------------------- shards
 
 
 def _shards(folder: Path, name: str, *, streaming: bool = False, together: bool = False, without: str = "") -> Reader:
@@ -230,9 +218,6 @@ def _state(folder: Path) -> Reader:
     return Reader(content, read, protected=False)
 
 
-# ----------------------------------------------------------------------------------------------------------- published
-
-
 def _published(folder: Path, ending: str, *, packed: bool = False) -> Reader:
     """A release with one file replaced, extracted or ``packed``."""
     root = pack(_release(folder)) if packed else _release(folder)
@@ -263,9 +248,6 @@ def _release_files() -> Mapping[Path, bytes]:
         return {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
-# ------------------------------------------------------------------------------------------------- patterns and bodies
-
-
 def _specification(folder: Path) -> Reader:
     path = folder / "garment_specification.json"
     content = json.dumps(spec_from_pattern(garments()[0].pattern)).encode()
@@ -286,19 +268,6 @@ def _mesh(folder: Path) -> Reader:
 def _design(folder: Path) -> Reader:
     path = folder / "design_params.yaml"
     return _file(path, yaml.safe_dump({"design": garments()[0].design}).encode(), lambda: str(read_design(path)))
-
-
-def _drawing(_: Path) -> Reader:
-    """The parameters and measures that the design page sends."""
-    values = {f"{one.path}": one.value for one in controls() if one.section in ("meta", "skirt", "sleeve")}
-    measures = dict(list(garments()[0].measurements.to_file_values().items())[:4])
-    page = ShownDesign(Desk())
-
-    def read(data: bytes) -> Any:
-        given = JsonPath("request").mapping(parse_json(data, source="request"), "")
-        return page.post("/draw", given)[0]
-
-    return Reader(json.dumps({"values": values, "measures": measures}).encode(), read, protected=False)
 
 
 def _query(folder: Path) -> Reader:
@@ -412,13 +381,9 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "landmarks": _landmarks,
     "specification-mesh": _mesh,
     "design": _design,
-    "viewer-design": _drawing,
     "viewer-query": _query,
 }
 """Name to a function that makes the reader, with its files in a given folder."""
-
-
-# ----------------------------------------------------------------------------------------------------------- documents
 
 
 DOCUMENTS: dict[str, Callable[[bytes], Any]] = {

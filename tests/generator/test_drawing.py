@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations, pairwise
-from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -16,14 +15,12 @@ import shapely
 from jaxtyping import Float
 from PIL import Image
 
-from gcd_dataset.cli import main
 from gcd_dataset.curves import Arc, Cubic, Curve, Quadratic, sample_curve
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drawing import contact_sheet, design_sheet, draw_pattern, jpeg_bytes, picture_of, png_bytes
 from gcd_dataset.generator.lay_plan import PAPER, lay_out
 from gcd_dataset.generator.svg import LINE_WIDTH, pattern_svg
 from gcd_dataset.records import Edge, Panel, Pattern, Placement
-from gcd_dataset.spec import read_pattern, write_pattern
 from tests.exports.patterns import lined
 from tests.helpers import napkins
 
@@ -42,13 +39,6 @@ def test_a_pattern_is_drawn_to_scale() -> None:
     widest = max(runs.max(), height.max())
     assert widest > 80
     assert sorted([len(runs), len(height)]) == [1, 2]
-
-
-@pytest.mark.parametrize("name", ["", " ", "\u200b"])
-def test_a_panel_with_any_name_is_drawn(name: str) -> None:
-    pattern = napkins()
-    drawn = draw_pattern(replace(pattern, panels=(replace(pattern.panels[0], name=name), pattern.panels[1])), size=64)
-    assert not is_paper(drawn).all()
 
 
 def test_names_beyond_ascii_are_numbered() -> None:
@@ -218,13 +208,6 @@ def test_a_pattern_is_drawn_at_true_scale_without_overlap() -> None:
     assert_true_to_scale(Pattern("one", (lens(CURVES[0]), replace(lens(CURVES[1]), name="other")), ()))
 
 
-def test_the_references_patterns_are_drawn_at_true_scale_without_overlap(examples: Path) -> None:
-    files = sorted(examples.glob("patterns/*/random_body/*_specification.json"))
-    assert len(files) == 12
-    for file in files:
-        assert_true_to_scale(read_pattern(file))
-
-
 def test_both_edges_of_a_seam_carry_its_colour_and_number() -> None:
     pattern = napkins()
     _, pieces = read_back(pattern)
@@ -278,12 +261,3 @@ def test_the_grain_runs_along_the_y_axis() -> None:
 def test_a_drawing_with_any_name_can_be_parsed(name: str) -> None:
     _, [piece] = read_back(Pattern(name, (replace(lens(CURVES[0]), name=name),), ()))
     assert piece.name == (name if name.isprintable() else ascii(name))
-
-
-def test_gcd_show_writes_the_drawing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    spec, svg, png = tmp_path / "napkins.json", tmp_path / "napkins.svg", tmp_path / "napkins.png"
-    write_pattern(napkins(), spec)
-    assert main(["show", str(spec), "--svg", str(svg), "--png", str(png)]) == 0
-    assert svg.read_bytes() == pattern_svg(read_pattern(spec))
-    assert png.stat().st_size > 1000
-    assert capsys.readouterr().out.split() == [str(png), str(svg)]

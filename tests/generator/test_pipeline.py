@@ -3,8 +3,6 @@
 import io
 import json
 import re
-import subprocess
-import sys
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -16,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gcd_dataset.errors import ConfigError, DrapeError, MeshError, PatternError
+from gcd_dataset.errors import ConfigError, DrapeError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.body import build_body, draw_shape, measure, named_pose, neutral_shape, walk
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
@@ -24,13 +22,11 @@ from gcd_dataset.generator.drapers.draper import DrapeWork, in_order
 from gcd_dataset.generator.garments import Reject, attempted_design, design_from_dict, garment_tags
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
-from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.pipeline import build_pattern, fit
-from gcd_dataset.generator.recipe import MakeConfig, devices_of, layout_of_samples, recipe_of
-from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Pattern, Sample
+from gcd_dataset.generator.recipe import MakeConfig, layout_of_samples, recipe_of
+from gcd_dataset.records import Drape, Measurements, Outcome
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.codec import decode_field, decode_fields, decode_sample, encode_sample
-from gcd_dataset.shards.layout import key_of
 from tests.generator.body.test_motion import A_POSE, bvh, turns_of
 
 FLAT = MakeConfig(stage="pattern")
@@ -375,20 +371,6 @@ def test_a_failed_drape_rejects_the_design_for_both_bodies() -> None:
     assert list(produce(5, [6], config, draper=Failing(1, but_neutral=True))) == [neutral]
 
 
-def test_a_failed_mesh_rejects_the_design_for_both_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = iter(range(100))
-
-    def sometimes(pattern: Pattern, *, spacing: float) -> BoxMesh:
-        if next(calls) == 1:  # the first design on the second body
-            raise MeshError("panel front is nearly a line")
-        return build_box_mesh(pattern, spacing=spacing)
-
-    monkeypatch.setattr(pipeline, "build_box_mesh", sometimes)
-    neutral, random = produce(5, [0, 1], replace(MESHED, bodies="both"))
-    assert neutral.design == random.design
-    assert "cannot_be_meshed: panel front is nearly a line" in neutral.provenance.rejects
-
-
 def test_the_error_of_an_index_without_a_pattern_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(size: object, design: object, *, name: str) -> Reject:
         return Reject("short_edge", "it is 0.3 cm")
@@ -467,21 +449,6 @@ BOTH = MakeConfig(stage="pattern", bodies="both")
 COARSE = MakeConfig(stage="mesh", resolution=8.0, points=16, bodies="both")
 
 
-SCRIPT = """
-from gcd_dataset.generator import MakeConfig, produce
-config = MakeConfig(stage="pattern")
-if __name__ == "__main__":
-    print([sample.key for sample in produce(5, range(2), config, workers=2)])
-"""
-
-
-@pytest.mark.long
-def test_workers_serve_a_script_from_standard_input() -> None:
-    """Which has no file that a spawned worker could import."""
-    finished = subprocess.run([sys.executable, "-"], input=SCRIPT, capture_output=True, text=True, check=False)
-    assert finished.stdout.strip() == str([key_of(0), key_of(1)]), finished.stderr
-
-
 def test_workers_and_a_single_process_make_the_same_samples() -> None:
     """Also where the workers return results of ``finished``, in the order of the indices."""
     alone = [encode_sample(sample) for sample in produce(5, [4, 0, 1, 5], COARSE)]
@@ -496,27 +463,6 @@ def test_indices_may_be_infinite() -> None:
     made = produce(5, forever(), BOTH)
     first, second, third = next(made), next(made), next(made)
     assert first == third != second
-
-
-def test_samples_before_a_failure_are_yielded(monkeypatch: pytest.MonkeyPatch) -> None:
-    def never(seed: int, number: int, *_: object) -> pipeline.DressedDesign:
-        if number == 2:
-            raise PatternError("sample 4: 3 designs were rejected")
-        return pipeline.prepare(seed, number, BOTH)
-
-    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", never)
-    made: list[Sample] = []
-    with pytest.raises(PatternError, match="sample 4"):
-        made.extend(produce(5, range(6), BOTH, ahead=6))
-    assert [sample.provenance.index for sample in made] == [0, 1, 2, 3]
-
-
-@pytest.mark.parametrize(
-    ("name", "devices"),
-    [("cpu", ("cpu",)), ("cuda", ("cuda:0",)), ("cuda:1", ("cuda:1",)), ("cuda:0,1,1", ("cuda:0", "cuda:1"))],
-)
-def test_devices_are_named(name: str, devices: tuple[str, ...]) -> None:
-    assert devices_of(MakeConfig(device=name)) == devices
 
 
 def test_a_failure_waits_for_the_results_before_it() -> None:

@@ -184,8 +184,6 @@ def test_bad_options_are_refused(options: dict[str, str], message: str) -> None:
         MakeConfig(**options)  # type: ignore[arg-type]
 
 
-# -------------------------------------------------------------------------------------------------------------- drapes
-
 SLIM = Overlay.from_dict({"meta": {"upper": "FittedShirt", "bottom": "PencilSkirt", "wb": "none"}})
 MISFIT = replace(SIZED, stage="drape", misfit="-9:2", resolution=8.0, points=64, picture=48, device="cpu", design=SLIM)
 TINY = replace(MISFIT, misfit="-9:-9")

@@ -162,9 +162,6 @@ def _flipped(response: Response, place: int | None) -> bytes:
     return body[:place] + bytes([body[place] ^ 1]) + body[place + 1 :] if 0 <= place < len(body) else body
 
 
-# ------------------------------------------------------------------------------------------------------------- the Hub
-
-
 @dataclass
 class Repo:
     """A repository. Each commit is a hash and a map from path to content; the newest comes last."""

@@ -261,24 +261,6 @@ def test_bytes_that_are_no_answer_are_given_up(body: Callable[[socket.socket], N
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
 
 
-def test_a_small_file_is_continued_from_a_server_without_ranges(hub: Hub, files: Files) -> None:
-    hub.faults = [Fault("a.tar", cut=150_000), Fault("a.tar", whole=True)]
-    assert files.read("a.tar", limit=1_000_000)[0] == DATA
-    hub.faults = [Fault("a.tar", whole=True)]
-    with pytest.raises(RemoteError, match="sends whole files only"):
-        files.read("a.tar", 10, 20, limit=1_000_000)
-
-
-@pytest.mark.usefixtures("short_answers")
-def test_bytes_that_are_skipped_must_come_in_time(hub: Hub, files: Files, tmp_path: Path) -> None:
-    hub.faults = [Fault("a.tar", cut=150_000), Fault("a.tar", times=10**6, drop=True)]
-    with pytest.raises(RemoteError, match="received data are kept"):
-        brought(files, tmp_path)
-    late = Files(sends(slowly), patience=0.3)
-    with pytest.raises(RemoteError, match=r"sent \d+ bytes in"):
-        fetch(late, "a.tar", tmp_path / "a.tar", len(DATA), hashlib.sha256(DATA).hexdigest())
-
-
 def test_a_stop_ends_all_waits(files: Files, hub: Hub, tmp_path: Path) -> None:
     patient = Files(files.url, patience=600)
     hub.faults = [answer(503, Retry_After="600")]

@@ -119,16 +119,6 @@ def test_a_garment_keeps_its_split_when_the_data_set_grows(both: Path, tmp_path:
         assert positions == [position for position in after[name] if position < 60]
 
 
-def test_four_designs_fill_all_splits(tmp_path: Path) -> None:
-    reader = ShardReader(put(tmp_path, (sample(i, design=i) for i in range(4))))
-    parts = partition(reader)
-    assert list(parts) == ["train", "validation", "test"]
-    assert sorted(position for part in parts.values() for position in part) == [0, 1, 2, 3]
-    assert partition(reader, ALL) == {"train": [0, 1, 2, 3]}
-    with pytest.raises(ConfigError, match="add up to 1"):
-        partition(reader, {"train": 0.5})
-
-
 @pytest.fixture(scope="module")
 def staged(both: Path, tmp_path_factory: pytest.TempPathFactory) -> Staged:
     folder = tmp_path_factory.mktemp("staged") / "up"
@@ -294,9 +284,6 @@ def test_errors_of_the_hub_are_reported(hub: Hub, staged: Staged, monkeypatch: p
         upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
 
 
-# ------------------------------------------------------------------------------------------------------------ commands
-
-
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
     return fill(tmp_path / "data", range(10))
@@ -328,16 +315,3 @@ def test_publish_and_download(
     capsys.readouterr()
     assert main(["info", "me/garments", *here]) == 0
     assert f"hf://datasets/me/garments@{commit}" in capsys.readouterr().out
-
-
-def test_show_draws_a_sample_of_a_repository_and_check_finds_shared_designs(
-    hub: Hub, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    hub.publish("me/garments", data)
-    pictures = [tmp_path / "here.png", tmp_path / "there.png"]
-    for what, png in zip([str(data), "me/garments"], pictures, strict=True):
-        assert main(["show", what, "--index", "3", "--png", str(png), "--endpoint", hub.endpoint]) == 0
-    assert pictures[0].read_bytes() == pictures[1].read_bytes()
-    put(data, [fake_sample(0, 3)], split="test")
-    assert main(["check", str(data)]) == 1
-    assert f"{data}: test and train share 1 design: scores on one are biased" in capsys.readouterr().out

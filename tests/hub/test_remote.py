@@ -42,9 +42,6 @@ def here(folder: Path) -> FolderStore:
     return FolderStore(folder)
 
 
-# ------------------------------------------------------------------------------------------------------------- requests
-
-
 @pytest.mark.parametrize("from_url", [False, True])
 def test_opening_and_the_first_sample_take_three_requests(
     hub: Hub, commit: str, here: FolderStore, folder: Path, tmp_path: Path, from_url: bool
@@ -118,9 +115,6 @@ def test_a_private_repository_needs_a_token_that_no_other_host_gets(
     assert not any(request.authorization for request in hub.asked("storage"))
 
 
-# ------------------------------------------------------------------------------------------------------------ revisions
-
-
 def test_a_branch_is_looked_up_once(hub: Hub, commit: str, here: FolderStore, folder: Path, tmp_path: Path) -> None:
     store = opened(hub, tmp_path)
     assert (store.revision, store.source) == (commit, f"hf://datasets/org/garments@{commit}")
@@ -178,9 +172,6 @@ def test_missing_data_sets_and_options_out_of_place_are_reported(hub: Hub, commi
         store.path("train", store.manifest().splits["train"].shards[0], views=True)
 
 
-# -------------------------------------------------------------------------------------------------------------- damaged
-
-
 @pytest.mark.parametrize("name", ["manifest.json", "train.index"])
 def test_small_files_that_are_damaged_on_the_way_or_in_the_cache_are_fetched_again(
     hub: Hub, commit: str, here: FolderStore, tmp_path: Path, name: str
@@ -233,9 +224,6 @@ def test_hostile_manifests_are_one_sentence(hub: Hub, commit: str, tmp_path: Pat
     assert not list(tmp_path.rglob("*escaped*"))
 
 
-# ------------------------------------------------------------------------------------------------------------- eviction
-
-
 def test_the_shard_used_longest_ago_is_evicted_with_its_columns(
     hub: Hub, commit: str, here: FolderStore, tmp_path: Path
 ) -> None:
@@ -253,9 +241,6 @@ def test_the_shard_used_longest_ago_is_evicted_with_its_columns(
     assert read(store, 1) == read(here, 1)
     shutil.rmtree(store.cache / first.sha256)
     assert read(store, 1) == read(here, 1)
-
-
-# -------------------------------------------------------------------------------------------------------------- the end
 
 
 def test_any_store_of_fsspec_is_read(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,9 +272,6 @@ def test_sources_are_parsed(tmp_path: Path) -> None:
         parse_source(tmp_path / "train.h5")
     with pytest.raises(ShardError, match="cannot be read"):
         parse_source("x" * 5000)
-
-
-# ------------------------------------------------------------------------------------------------------------ downloads
 
 
 def remote(hub: Hub, tmp_path: Path) -> Remote:
@@ -369,9 +351,6 @@ def test_root_downloads_first(hub: Hub, commit: str, folder: Path, tmp_path: Pat
             opened(source, allowed=False, revision=revision)
 
 
-# ------------------------------------------------------------------------------------------------------------- stopped
-
-
 def test_a_stopped_download_continues(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     hub.faults = [
         Fault(r"storage/[^/]+/train-00001", cut=20_000),
@@ -428,9 +407,6 @@ def test_a_disk_without_room_is_reported_before_anything_is_sent(
     with pytest.raises(OutputError, match=r"data: \d+ bytes are needed, and 1 are free: make room"):
         bring(hub, tmp_path)
     assert not hub.asked(r"\.tar")
-
-
-# ------------------------------------------------------------------------------------------------------------- changed
 
 
 def test_a_data_set_that_grew_or_shrank_is_updated(hub: Hub, tmp_path: Path) -> None:

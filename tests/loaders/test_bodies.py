@@ -54,9 +54,6 @@ def assert_same(item: Mapping[str, Any], other: Mapping[str, Any]) -> None:
     assert same({**item, "name": ""}, {**other, "name": ""})
 
 
-# --------------------------------------------------------------------------------------------------------------- ours
-
-
 def test_a_stored_shape_builds_the_stored_meshes(ours: Path) -> None:
     ds = BodyDataset(ours)
     for index in range(COUNT):
@@ -166,9 +163,6 @@ def own_mesh_of_four() -> Any:
     return type(MESH)(MESH.faces[:, [1, 2, 0]], MESH.parts)
 
 
-# ---------------------------------------------------------------------------------------------------------- published
-
-
 def test_the_published_layout_gives_the_same_items(ours: Path, published: Path, tmp_path: Path) -> None:
     shards = BodyDataset(ours)
     parts = segmentation(tmp_path / "parts.json", shards.mesh)
@@ -222,17 +216,6 @@ def test_a_missing_file_is_named(few: Path) -> None:
         without.person(0).body(without.mesh)
 
 
-def test_a_missing_folder_is_named(tmp_path: Path, few: Path) -> None:
-    archive = tmp_path / "5000_body_shapes_and_measures.tar.gz"
-    archive.write_bytes(b"\x1f\x8b")
-    with pytest.raises(ShardError, match="extract it"):
-        PublishedBodies(archive)
-    with pytest.raises(ShardError, match="neither 5000_body_shapes_and_measures nor a folder that holds it"):
-        PublishedBodies(tmp_path / "nowhere")
-    few.rename(tmp_path / "5000_body_shapes_and_measures")
-    assert len(PublishedBodies(tmp_path)) == 2
-
-
 def edited(path: Path, pattern: str, put: str) -> None:
     text, count = re.subn(pattern, put, path.read_text(), count=1, flags=re.M)
     assert count
@@ -256,13 +239,6 @@ def test_a_broken_mesh_is_named(few: Path, pattern: str, put: str, message: str)
     edited(few / "meshes" / "00001_apart.obj", pattern, put)
     with pytest.raises(BodyError, match=rf"00001_apart\.obj: .*{message}"):
         PublishedBodies(few)[1]
-
-
-def test_faces_may_have_texture_indices(few: Path) -> None:
-    before = PublishedBodies(few)[1]
-    path = few / "meshes" / "00001_straight.obj"
-    path.write_text(re.sub(r"^f (\d+) (\d+) (\d+)$", r"f \1/7/7 \2//9 \3", path.read_text(), flags=re.M))
-    assert_same(PublishedBodies(few)[1], before)
 
 
 @pytest.mark.parametrize(

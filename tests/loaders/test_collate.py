@@ -2,7 +2,6 @@
 
 import multiprocessing
 import random
-from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -20,8 +19,6 @@ from gcd_dataset.loaders import (
     GarmentDataset,
     PackedBatch,
     PaddedBatch,
-    batches,
-    collate_list,
     collate_packed,
     collate_padded,
     mesh_edges,
@@ -194,11 +191,6 @@ def test_rows_fixes_the_shape_of_padded_batches(items: list[dict[str, Any]]) -> 
         collate_padded([])
 
 
-def test_collate_list_returns_a_list(items: list[dict[str, Any]]) -> None:
-    assert collate_list(items) == items
-    assert collate_list(tuple(items)) is not items
-
-
 def test_entries_that_a_transform_adds_are_listed() -> None:
     def add(item: dict[str, Any]) -> dict[str, Any]:
         return {"name": "x", "weight": torch.tensor(2.0), "mask": item["verts"][:, 0] > 0, "verts": item["verts"]}
@@ -218,9 +210,6 @@ def test_copies_share_no_memory() -> None:
         assert copy.dtype == value.dtype
         assert copy.to(torch.complex64).tolist() == value.to(torch.complex64).tolist()
         assert not len(value) or copy.data_ptr() != value.data_ptr()
-
-
-# ----------------------------------------------------------------------------------------------------- garments at once
 
 
 @pytest.mark.filterwarnings("ignore:The PyTorch API of nested tensors is in prototype")
@@ -279,11 +268,6 @@ def test_a_batch_can_be_cast(items: list[dict[str, Any]], collate: Any) -> None:
         batch.to(dtype=torch.int32)
 
 
-def test_lists_of_tensors_move_too() -> None:
-    batch = collate_packed([{"extra": torch.ones(1)}, {"extra": torch.ones(2)}])
-    assert [value.dtype for value in batch.to(torch.float64)["extra"]] == 2 * [torch.float64]
-
-
 def test_a_missing_device_is_named(batch: PackedBatch) -> None:
     for device in (f"cuda:{torch.cuda.device_count()}", torch.device("cuda", torch.cuda.device_count())):
         with pytest.raises(ConfigError, match=r"device cuda:\d+: torch sees .*: give another, such as 'cuda' if"):
@@ -340,8 +324,6 @@ def test_missing_fields_and_padded_batches_are_refused(items: list[dict[str, Any
         seam_graph(collate_padded(items))
 
 
-# -------------------------------------------------------------------------------------------------------------- buffers
-
 LARGE = 100_000
 
 
@@ -362,18 +344,6 @@ def test_buffers_and_views_in_use_are_not_shared() -> None:
         assert all((memory == number % 251).all() for number, memory in list(held.items())[-3:])
     assert all((memory == number % 251).all() for number, memory in held.items())
     assert tensor.tolist() == 4 * [7.0]
-
-
-def test_free_buffers_are_reused_and_few_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batches, "MOST_KEPT", 3 << 17)
-    monkeypatch.setattr(batches, "_kept", defaultdict(list))
-    memories = [buffer_of(LARGE) for _ in range(9)]
-    places = [memory.ctypes.data for memory in memories]
-    assert len(set(places)) == 9
-    del memories
-    assert [len(kept) for kept in batches._kept.values()] == [3]
-    again = [buffer_of(LARGE + change) for change in (1, 0, -1)]
-    assert {memory.ctypes.data for memory in again} == set(places[:3])
 
 
 def _sums(sizes: Sequence[int]) -> list[int]:

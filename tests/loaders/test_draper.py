@@ -2,13 +2,11 @@
 
 import multiprocessing
 import os
-import shutil
 import socket
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
-from unittest.mock import Mock
 
 import pytest
 
@@ -21,7 +19,7 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import FreshGarments, GarmentLoader, GeneratedGarments, collate_list
 from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.shards.layout import key_of
-from tests.loaders.draping import COUNT, OPTIONS, SKIRTS, Apart, drape_request, drapers, items
+from tests.loaders.draping import COUNT, OPTIONS, SKIRTS, Apart, drapers, items
 from tests.loaders.rendered import start_of
 from tests.loaders.test_shards import assert_all_same
 
@@ -38,16 +36,6 @@ def test_all_workers_share_one_draping_process(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(SharedDraper, "send", lambda draper, request: pytest.fail("draped again"))
     cached = GarmentLoader(ds, 1, shuffle=False, num_workers=2, collate_fn=collate_list)
     assert_all_same(cached, [[item] for item in made])
-
-
-def test_workers_take_the_draping_processes_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    ds = Apart(COUNT, address_for("cpu"))
-    ds._addresses = (address_for("cpu"), replace(address_for("cpu"), folder=Path("other")))
-    found = []
-    for number in range(3):
-        monkeypatch.setattr("gcd_dataset.loaders.generated.get_worker_info", lambda worker=number: Mock(id=worker))
-        found.append(ds._address)
-    assert found == [*ds._addresses, ds._addresses[0]]
 
 
 class StandIn:
@@ -128,19 +116,6 @@ def test_the_next_request_is_sent_before_a_sample_is_yielded() -> None:
     assert [bool(draper.waiting) for _ in made] == [True, True, True, False]
 
 
-def test_a_retry_is_draped_first() -> None:
-    """Later samples wait for the retry."""
-    queue, (ours, theirs) = RequestQueue(), multiprocessing.Pipe()
-    connection = ClientConnection(ours, queue)
-    one = drape_request(0)
-    for number, retry in enumerate([False, False, True, False]):
-        queue.put(connection, replace(one, number=number, retry=retry))
-    jobs = queue._jobs()
-    assert all(next(jobs) for _ in range(4))
-    assert [request.number for _, request in queue._draping.values()] == [2, 0, 1, 3]
-    theirs.close()
-
-
 def test_a_connection_is_not_closed_while_it_is_read() -> None:
     """Else the OS reuses the descriptor for the next connection, and the reader reads from that connection."""
     ours, theirs = multiprocessing.Pipe()
@@ -152,14 +127,6 @@ def test_a_connection_is_not_closed_while_it_is_read() -> None:
     connection.finish()
     assert not ours.closed
     theirs.close()
-
-
-def test_a_process_that_outlives_the_owner_creates_its_own_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.generator.drapers.address._addresses", {})
-    address = address_for("cpu")
-    assert address_for("cpu") == address
-    shutil.rmtree(address.folder)
-    assert address_for("cpu").folder.is_dir()
 
 
 def test_an_unknown_device_is_an_error_of_one_line() -> None:

@@ -96,34 +96,6 @@ def test_the_first_item_needs_one_garment_only() -> None:
         assert len(ds.made) <= min(count, 20) + (count - 1) // 4
 
 
-class OnlyOne(FakeGarments):
-    """Makes garment ``only`` immediately, the others once ``over`` is set."""
-
-    only = 0
-
-    def __init__(self, count: int) -> None:
-        super().__init__(count, fields=["meta"])
-        self.over = multiprocessing.Event()
-
-    def __getitem__(self, index: Any) -> Any:
-        if index != self.only:
-            self.over.wait()
-        return super().__getitem__(index)
-
-
-@pytest.mark.parametrize(("replay", "stop"), [(1, 0), (4, 31)])
-def test_the_first_item_needs_one_worker_only(replay: int, stop: int) -> None:
-    """Also after a resume: the next garment is made first."""
-    options: dict[str, Any] = {"replay": replay, "room": 20}
-    ds = OnlyOne(50)
-    ds.only = numbers(fresh(50, **options))[stop]
-    on = FreshGarments(ds, workers=2, **options)
-    on.load_state_dict({**on.state_dict(), "position": stop})
-    made = iter(on)
-    assert next(made)["meta"]["index"] == ds.only
-    ds.over.set()
-
-
 def refused(item: dict[str, Any]) -> dict[str, Any]:
     raise ValueError("no such thing")
 
@@ -163,8 +135,7 @@ def test_an_error_of_a_worker_keeps_no_workers_alive() -> None:
 
 
 @pytest.mark.parametrize(
-    ("replay", "room", "stop", "workers"),
-    [(1, 1, 7, 0), (2.5, 4, 3, 0), (3, 4, 14, 2), (2, 9, 23, 0), (2, 4, 30, 0)],
+    ("replay", "room", "stop", "workers"), [(1, 1, 7, 0), (2.5, 4, 3, 0), (3, 4, 14, 2), (2, 9, 23, 0), (2, 4, 30, 0)]
 )
 def test_resuming_makes_no_earlier_garments(replay: float, room: int, stop: int, workers: int) -> None:
     options: dict[str, Any] = {"replay": replay, "room": room, "augment": PointNoise(1.0)}
@@ -184,30 +155,6 @@ def test_resuming_makes_no_earlier_garments(replay: float, room: int, stop: int,
     if not workers:
         assert sorted(ds.made) == sorted(set(rest))  # each garment once, and no others
     assert [item["meta"]["index"] for item in on] != rest  # the next epoch
-
-
-def test_a_resumed_loader_makes_no_earlier_garments() -> None:
-    def loader(ds: FakeGarments) -> GarmentLoader:
-        return GarmentLoader(FreshGarments(ds, replay=2, room=6), 4, shuffle=False)
-
-    def indices(batch: dict[str, Any]) -> list[int]:
-        return [meta["index"] for meta in batch["meta"]]
-
-    whole = loader(Counting(20))
-    epochs = [[indices(batch) for batch in whole] for _ in range(3)]
-    assert epochs[0] != epochs[1] != epochs[2]
-    assert whole.epoch == 3
-    begun = loader(Counting(20))
-    for _ in begun:
-        pass
-    for _, _ in zip(range(6), begun, strict=False):
-        pass
-    ds = Counting(20)
-    on = loader(ds)
-    on.load_state_dict(begun.state_dict())
-    assert [indices(batch) for batch in on] == epochs[1][6:]
-    assert set(ds.made) == {index for batch in epochs[1][6:] for index in batch}
-    assert [indices(batch) for batch in on] == epochs[2]
 
 
 def test_only_the_last_iterator_moves_the_position() -> None:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader
 
 from gcd_dataset import generate
 from gcd_dataset.captions import LEVELS, read_captions
@@ -221,18 +220,6 @@ def test_stored_captions_equal_those_made_on_demand(caption_folder: Path, tmp_pa
     assert [item["caption"] for item in cached] == stored
 
 
-def test_a_stopped_run_with_captions_goes_on(caption_folder: Path, tmp_path: Path) -> None:
-    generate(tmp_path, 2, seed=SEED, config=FLAT)
-    generate(tmp_path, CAPTIONED, seed=SEED, config=FLAT)
-    assert (tmp_path / "train-00000.tar").read_bytes() == (caption_folder / "train-00000.tar").read_bytes()
-
-
-def test_captions_of_one_level_make_a_batch(caption_folder: Path) -> None:
-    ds = GarmentDataset(caption_folder, fields=["caption"], transform=PickCaption("short"))
-    (batch,) = DataLoader(ds, batch_size=CAPTIONED)
-    assert batch["caption"] == [read_captions(text)["short"] for text in texts(caption_folder)]
-
-
 def test_a_level_may_be_drawn_at_each_use(caption_folder: Path) -> None:
     ds = Augmented(GarmentDataset(caption_folder, fields=["caption"]), PickCaption(), seed=3)
     drawn = set()
@@ -259,31 +246,6 @@ def texts(caption_folder: Path) -> list[str]:
 def test_the_pattern_can_be_sewn() -> None:
     for index in range(5):
         assert check_pattern(fake_sample(0, index).pattern) == ()
-
-
-def test_the_tube_is_open_at_two_ends_only() -> None:
-    mesh = fake_sample(0, 1).box_mesh
-    assert mesh is not None
-    edges = np.sort(np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]), axis=1)
-    _, count = np.unique(edges, axis=0, return_counts=True)
-    assert set(count) == {1, 2}
-    euler = len(mesh.vertices) - len(count) + len(mesh.faces)
-    assert euler == 0  # Euler characteristic of a cylinder
-    rows = len(mesh.seams) // 2
-    assert (count == 1).sum() == 2 * (len(mesh.vertices) // rows)
-
-
-def test_faces_look_outward_and_keep_their_area() -> None:
-    sample = fake_sample(0, 2)
-    assert sample.drape is not None
-    assert sample.box_mesh is not None
-    a, b, c = (sample.drape.vertices[sample.box_mesh.faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    assert (np.einsum("fi,fi->f", normal, (a + b + c) * [1, 0, 1]) > 0).all()
-    u, v, w = (sample.box_mesh.uv[sample.box_mesh.corners[:, k]] for k in range(3))
-    flat = np.linalg.det(np.stack([v - u, w - u], axis=1))
-    assert (flat > 0).all()
-    assert np.linalg.norm(normal, axis=1).sum() < flat.sum()  # chords are shorter than arcs
 
 
 def test_garments_differ_and_are_reproducible() -> None:

@@ -4,7 +4,7 @@ import importlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, assert_type
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +12,9 @@ import torch
 from torch import nn
 from torch.utils.data import DataLoader, Dataset
 
-from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.files import user_path
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
-from gcd_dataset.hub.remote import Remote
-from gcd_dataset.hub.source import Folder, parse_source
 from gcd_dataset.loaders import (
     Augmented,
     BodyDataset,
@@ -26,8 +22,6 @@ from gcd_dataset.loaders import (
     FakeGarments,
     FreshGarments,
     GarmentDataset,
-    GarmentFields,
-    GarmentLoader,
     Garments,
     GeneratedGarments,
     Hdf5Garments,
@@ -46,7 +40,6 @@ from gcd_dataset.shards.hdf5 import write_hdf5
 from tests.loaders.test_shards import assert_all_same, same
 from tests.release.published import publish as published
 from tests.release.published import publish_people
-from tests.shards.folders import fill
 from tests.shards.people import MESH, fake_person
 from tests.shards.people import fill as people_in_shards
 
@@ -88,9 +81,6 @@ def opened(sets: dict[str, Path], stage: Any) -> dict[str, Callable[..., Any]]:
 
 
 WAYS = ("folder", "stream", "hdf5", "generated")
-
-
-# --------------------------------------------------------------------------------------------------------------- fields
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -141,9 +131,6 @@ def test_parts_of_a_mix_need_equal_fields(sets: dict[str, Path]) -> None:
         MixedDataset([pattern, [1]], [1, 1])  # type: ignore[list-item]
 
 
-# ---------------------------------------------------------------------------------------------------------------- types
-
-
 @pytest.mark.parametrize("way", WAYS)
 def test_floating_fields_are_float32_by_default(sets: dict[str, Path], way: str) -> None:
     fields = ("panels", "edges", "points", "box", "uv", "body")
@@ -160,12 +147,6 @@ def test_floating_fields_are_float32_by_default(sets: dict[str, Path], way: str)
         assert torch.equal(half[field], stored[field].to(torch.bfloat16))
 
 
-def test_stored_types_are_not_copied(sets: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.loaders.base.as_type", lambda tensor, dtype: pytest.fail(str(tensor.shape)))
-    monkeypatch.setattr(torch.Tensor, "to", lambda *_: pytest.fail("converted"))
-    assert len(GarmentDataset(sets["mesh"], fields=["panels"], dtype=None)[0]["panels"])
-
-
 def test_types_that_are_not_floating_are_refused(sets: dict[str, Path]) -> None:
     for dtype in (torch.int64, "float32", np.float32):
         with pytest.raises(ConfigError, match=r"dtype=.*: give a floating type, such as torch\.float32"):
@@ -177,9 +158,6 @@ def test_a_batch_of_mixed_types_is_refused(sets: dict[str, Path]) -> None:
     for collate in (collate_packed, collate_padded):
         with pytest.raises(ConfigError, match=r"panels has types torch\.float32, torch\.float64 in one batch"):
             collate(items)
-
-
-# -------------------------------------------------------------------------------------------------------------- indices
 
 
 def wrapped(ds: Garments, count: int = COUNT) -> list[Garments]:
@@ -247,16 +225,6 @@ def test_values_that_are_no_index_are_refused(sets: dict[str, Path]) -> None:
         ds[np.eye(2, dtype=int)]
 
 
-def test_the_error_about_a_mask_names_an_expression_that_selects_its_true_entries(sets: dict[str, Path]) -> None:
-    ds = GarmentDataset(sets["pattern"], fields=["meta"])
-    wanted = [position for position in range(COUNT) if position % 2]
-    for mask in (np.arange(COUNT) % 2 == 1, torch.arange(COUNT) % 2 == 1):
-        with pytest.raises(ConfigError, match="give whole numbers in one row, such as mask") as caught:
-            ds[mask]
-        expression = str(caught.value).rpartition("such as ")[2]
-        assert_all_same(ds[eval(expression, {"mask": mask})], [ds[position] for position in wanted])
-
-
 @pytest.mark.parametrize("way", ["folder", "hdf5"])
 def test_garments_are_found_by_key(sets: dict[str, Path], way: str) -> None:
     for ds in wrapped(opened(sets, "pattern")[way](fields=["meta"])):
@@ -294,9 +262,6 @@ def test_a_key_in_two_splits_is_refused(tmp_path: Path) -> None:
     assert same(again["gcd_000000001"], again[0])
     with pytest.raises(KeyError, match="a mix has no keys"):
         MixedDataset([both], [1])["gcd_000000001"]
-
-
-# ------------------------------------------------------------------------------------------------------------- remedies
 
 
 def test_a_field_that_is_not_loaded_is_named(sets: dict[str, Path]) -> None:
@@ -343,18 +308,6 @@ def test_a_transform_that_needs_a_random_stream_is_refused_at_once(few: Path, tr
             make(1, transform=transform)
 
 
-def test_functions_are_accepted_by_the_arguments_that_they_can_take() -> None:
-    given: list[Any] = [dict, nn.Identity(), PickCaption("short"), lambda item, rng=None: item, partial(max, key=len)]
-    for function in given:
-        assert FakeGarments(1, transform=function).transform is function
-    with pytest.raises(ConfigError, match=r"augment=.* with \(item, rng\): give a function of item, rng"):
-        Augmented(FakeGarments(1), lambda item: item)  # type: ignore[misc, arg-type]
-    with pytest.raises(ConfigError, match=r"collate_fn=.*\(items\)"):
-        GarmentLoader(FakeGarments(1), 1, collate_fn=lambda: None)  # type: ignore[misc, arg-type]
-    with pytest.raises(ConfigError, match="whole is a str: give GarmentDataset"):
-        Augmented("folder", Yaw())  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("indices", [lambda item: True, "gcd_000000003", 1, 1.5, None, slice(2), torch.tensor(1), {}])
 def test_select_takes_several_indices(indices: Any) -> None:
     with pytest.raises(ConfigError, match=r"select\(.*give indices or keys in a list, .* select by a condition with"):
@@ -368,9 +321,6 @@ def test_select_takes_any_iterable_of_indices_and_refuses_others_in_one_sentence
     for wrong in ([True] * 4, np.ones(3, bool), torch.ones(4, dtype=torch.bool), [4], [-5], [0.5], ["gcd_000000009"]):
         with pytest.raises(ConfigError, match=r"^[^\n]+: [^\n]+$"):
             ds.select(wrong)
-
-
-# ----------------------------------------------------------------------------------------------------- typed and whole
 
 
 def test_the_sample_of_a_garment_is_whole_whatever_the_fields(sets: dict[str, Path], tmp_path: Path) -> None:
@@ -388,15 +338,6 @@ def test_the_sample_of_a_garment_is_whole_whatever_the_fields(sets: dict[str, Pa
     assert FakeGarments(2, fields=["meta"]).sample(1).drape is not None
 
 
-def test_the_type_of_a_field_is_known_to_type_checkers() -> None:
-    ds = FakeGarments(2)
-    assert_type(ds[0]["verts"], torch.Tensor)
-    assert_type(ds["gcd_000000001"]["measures"], dict[str, float])
-    assert_type([item["meta"] for item in ds[:1]], list[dict[str, Any]])
-    assert_type(ds[[0, 1]], list[GarmentFields])
-    assert GarmentFields.__annotations__.keys() >= ds[0].keys()
-
-
 def test_a_design_overlay_may_be_a_dict() -> None:
     wanted = {"meta": {"upper": "none", "bottom": "Pants"}}
     ds = GeneratedGarments(2, stage="pattern", design=wanted, fields=["design"])
@@ -409,38 +350,11 @@ def test_a_design_overlay_may_be_a_dict() -> None:
             GeneratedGarments(2, design=design)  # type: ignore[arg-type]
 
 
-# ----------------------------------------------------------------------------------------------------------------- repr
-
-
-def test_repr_is_one_line(sets: dict[str, Path], tmp_path: Path) -> None:
-    ds = GarmentDataset(sets["pattern"], fields=["panels", "edges"])
-    assert repr(ds) == f"GarmentDataset(train of {sets['pattern']}, 4 garments: panels, edges)"
-    stream = GarmentDataset(fill(tmp_path, range(2)), fields=["verts"], streaming=True)
-    everything = [
-        stream,
-        *wrapped(GeneratedGarments(COUNT, fields=["panels"])),
-        Hdf5Garments(sets["mesh"] / "train.h5", fields=["box"]),
-        MixedDataset([ds, ds], [3, 1]),
-        FreshGarments(ds, replay=2),
-        GarmentLoader(ds, 2),
-        collate_packed([ds[0]]),
-        collate_padded([ds[0]]),
-    ]
-    for thing in everything:
-        text = repr(thing)
-        assert "\n" not in text
-        assert "garments" in text
-        assert len(text) < 300
-
-
 def test_a_number_beyond_float32_is_refused() -> None:
     large = np.array([1.0, 1e300])
     with pytest.raises(ShardError, match="dtype=None keeps the stored type"):
         tensor_of(large, torch.float32)
     assert tensor_of(large, None).tolist() == [1.0, 1e300]
-
-
-# ------------------------------------------------------------------------------------------------------------- places
 
 
 OPENED: dict[str, Callable[[], Any]] = {
@@ -468,24 +382,3 @@ def test_a_tilde_is_the_home_folder(
         published(tmp_path / "release")
     assert len(OPENED[opener]())
     assert not Path("~").exists()
-
-
-def test_caches_and_names_with_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path))
-    assert user_path("~nobody-is-called-so/data") == Path("~nobody-is-called-so/data")
-    assert user_path("data~") == Path("data~")
-    assert Remote(cache_dir="~/cache").folder == tmp_path / "cache"
-    kept = GeneratedGarments(1, drape=None, cache_dir="~/garments").cache
-    assert kept is not None
-    assert kept.parent == tmp_path / "garments"
-    (tmp_path / "data").mkdir()
-    assert parse_source("~/data") == Folder(tmp_path / "data")
-
-
-def test_commands_know_the_home_folder(sets: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path))
-    (tmp_path / "data").symlink_to(sets["mesh"])
-    assert len(ShardReader("~/data")) == COUNT
-    assert main(["info", "~/data"]) == 0
-    assert main(["export", "~/data", "--hdf5=~/train.h5", "--quiet"]) == 0
-    assert (tmp_path / "train.h5").exists()

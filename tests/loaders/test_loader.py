@@ -1,11 +1,8 @@
 """``GarmentLoader``: a run that is stopped at any batch and resumed elsewhere sees the same garments."""
 
-import contextlib
 import errno
-import gc
 import itertools
 import threading
-import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -96,9 +93,6 @@ def test_sizes_are_whole_numbers() -> None:
             GarmentLoader(garments(), 4, num_workers=workers)
 
 
-# ------------------------------------------------------------------------------------------------------- shared memory
-
-
 def is_full(*_: Any) -> Any:
     raise RuntimeError("unable to allocate shared memory(shm) for file </torch_1>: No space left on device (28)")
 
@@ -135,9 +129,6 @@ def test_shared_memory_without_room_for_queues_is_recognised_before_workers_star
     with pytest.raises(ConfigError, match=r"shared memory \(/dev/shm\) is full"):
         next(iter(FreshGarments(garments(), workers=1)))
     assert len(GarmentLoader(garments(), 5)) == 10
-
-
-# --------------------------------------------------------------------------------------------------------------- order
 
 
 def test_an_epoch_holds_every_garment_once_and_epochs_follow_on() -> None:
@@ -239,9 +230,6 @@ def test_a_selection_has_its_own_state(folder: Path) -> None:
     stored.load_state_dict(GarmentLoader(garments(10), 4).state_dict())
 
 
-# --------------------------------------------------------------------------------------------------------------- faults
-
-
 class Broken(Dataset):
     """Integers, one of which raises."""
 
@@ -254,11 +242,6 @@ class Broken(Dataset):
         return index
 
 
-class BrokenTogether(Broken):
-    def __getitems__(self, indices: list[int]) -> list[int]:
-        return [self[index] for index in indices]
-
-
 @pytest.mark.parametrize("workers", [0, 1])
 def test_an_error_names_the_garment(workers: int) -> None:
     loader = GarmentLoader(Broken(), 4, shuffle=False, num_workers=workers, collate_fn=collate_list)
@@ -267,15 +250,6 @@ def test_an_error_names_the_garment(workers: int) -> None:
     with pytest.raises(ShardError, match="while loading garment 5 of Broken"):
         next(batches)
     assert loader.state_dict()["position"] == 4
-
-
-def test_an_error_of_getitems_names_the_batch() -> None:
-    loader = GarmentLoader(BrokenTogether(), 4, shuffle=False, collate_fn=collate_list)
-    with pytest.raises(ShardError, match="while loading garments 4, 5, 6, 7 of BrokenTogether"):
-        list(loader)
-
-
-# -------------------------------------------------------------------------------------------------------------- streams
 
 
 class Count(IterableDataset):
@@ -343,20 +317,6 @@ def test_the_thread_makes_no_more_items_than_the_queue_holds() -> None:
     assert max(ahead) <= 3 + 1  # taking an item has freed a slot
 
 
-def test_items_are_made_before_they_are_taken() -> None:
-    third = threading.Event()
-
-    def items() -> Iterator[int]:
-        yield from (0, 1)
-        third.set()
-        yield 2
-
-    ahead = prefetch(items(), 3)
-    assert next(ahead) == 0
-    assert third.wait(60)
-    assert list(ahead) == [1, 2]
-
-
 def test_an_error_comes_after_the_items_before_it() -> None:
     def items() -> Iterator[int]:
         yield from (0, 1)
@@ -404,37 +364,3 @@ def test_an_exit_in_the_thread_reaches_the_caller() -> None:
     thread.start()
     thread.join(60)
     assert [str(end) for end in ended] == ["the second"]
-
-
-def test_a_caught_error_keeps_no_object_alive() -> None:
-    """The frames of its traceback refer to objects such as a loader with its workers."""
-
-    class Held:
-        pass
-
-    def failing(held: Held) -> None:
-        assert held
-        for _ in prefetch(map(int, ["no number"]), 1):
-            pass
-
-    held = Held()
-    kept = weakref.ref(held)
-    gc.disable()
-    try:
-        with contextlib.suppress(ValueError):
-            failing(held)
-        del held
-        assert kept() is None
-    finally:
-        gc.enable()
-
-
-def test_begin_runs_in_the_thread() -> None:
-    begun = []
-    assert list(prefetch(iter("ab"), 1, begin=lambda: begun.append(threading.current_thread()))) == ["a", "b"]
-    assert begun != [threading.current_thread()]
-
-
-def test_an_error_in_begin_reaches_the_caller() -> None:
-    with pytest.raises(ZeroDivisionError):
-        next(prefetch(iter("ab"), 1, begin=lambda: 1 / 0))  # type: ignore[arg-type]

@@ -12,14 +12,7 @@ from hypothesis import strategies as st
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.loaders import (
-    FakeGarments,
-    GarmentDataset,
-    GarmentLoader,
-    Garments,
-    GeneratedGarments,
-    MixedDataset,
-)
+from gcd_dataset.loaders import FakeGarments, GarmentDataset, GarmentLoader, Garments, GeneratedGarments, MixedDataset
 from tests.shards.folders import fill
 
 

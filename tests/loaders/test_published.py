@@ -3,7 +3,6 @@
 import json
 import pickle
 import shutil
-import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,13 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, PatternError, ShardError
-from gcd_dataset.loaders import GarmentDataset, GarmentLoader, PublishedGarmentCodeData, collate_list
-from gcd_dataset.loaders.base import Item
+from gcd_dataset.loaders import GarmentDataset, PublishedGarmentCodeData
 from gcd_dataset.records import MEASURES
-from gcd_dataset.release.batches import Facts, PublishedBatches
+from gcd_dataset.release.batches import Facts
 from gcd_dataset.release.published_names import ENDINGS, properties_name
 from gcd_dataset.release.read_garment import PublishedGarment
 from gcd_dataset.release.write import garment_files
@@ -59,9 +56,6 @@ def packed(folders: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def numbers(published: PublishedGarmentCodeData) -> list[int]:
     return [published.number(index) for index in range(len(published))]
-
-
-# ------------------------------------------------------------------------------------------------------------ garments
 
 
 def test_items_equal_those_of_the_exported_shards(folders: Path) -> None:
@@ -119,17 +113,6 @@ def test_the_two_garments_of_a_design_are_adjacent(folders: Path) -> None:
     assert len(PublishedGarmentCodeData(folders.parent, "test")) == 2  # the folder above
 
 
-def test_batches_are_opened_once_for_all_splits(folders: Path) -> None:
-    batches = PublishedBatches(folders, bodies="default")
-    for split in ("train", "test"):
-        opened, again = (
-            PublishedGarmentCodeData(batches, split),
-            PublishedGarmentCodeData(folders, split, bodies="default"),
-        )
-        assert opened.names == again.names
-        assert same(opened[0], again[0])
-
-
 def test_failed_garments_are_left_out(own: Path) -> None:
     fail(own, TRAIN[0], BODIES[1])
     published = PublishedGarmentCodeData(own)
@@ -167,15 +150,6 @@ def test_only_the_files_of_the_fields_are_read(own: Path, folders: Path) -> None
         assert same(item, PublishedGarmentCodeData(folders, fields=field)[0])
 
 
-def test_workers_read_archives(packed: Path) -> None:
-    published = PublishedGarmentCodeData(packed, fields=("verts", "spec"))
-    loader = DataLoader(published, 1, num_workers=2, collate_fn=collate_list, multiprocessing_context="fork")
-    sent = pickle.loads(pickle.dumps(published))  # as for a spawned worker
-    for item, (other,), third in zip(published, loader, sent, strict=True):
-        assert same(item, other)
-        assert same(item, third)
-
-
 def test_vertices_that_touch_in_the_drape_stay_distinct(folders: Path) -> None:
     """Two vertices at one position stay distinct if their box mesh positions differ."""
     sample = touch_vertex(garment(TRAIN[0], 0, BODIES[0]))
@@ -199,9 +173,6 @@ def test_verify_finds_files_that_disagree(own: Path) -> None:
     with pytest.raises(ShardError, match=r"_boxmesh\.ply: its mesh differs from"):
         published.verify(0)
     assert published.recipe(1)["index"] == 1
-
-
-# -------------------------------------------------------------------------------------------------------------- faults
 
 
 def swapped(old: bytes, new: bytes) -> Callable[[bytes], bytes]:
@@ -289,8 +260,7 @@ def test_opening_a_published_folder_as_shards_names_the_right_class(folders: Pat
 def test_a_folder_without_the_split_file_is_read_whole(own: Path) -> None:
     next(own.glob("*split*.json")).unlink()
     with pytest.raises(
-        ShardError,
-        match=r"no official split .*: download it into this folder; split='all' does not need it",
+        ShardError, match=r"no official split .*: download it into this folder; split='all' does not need it"
     ):
         PublishedGarmentCodeData(own)
     assert len(PublishedGarmentCodeData(own, "all")) == 6
@@ -300,9 +270,6 @@ def test_a_broken_split_file_is_named(own: Path) -> None:
     next(own.glob("*split*.json")).write_text('{"training": ["rand_AAAAAAAAA0"]}')
     with pytest.raises(ShardError, match="lacks a list named training"):
         PublishedGarmentCodeData(own)
-
-
-# --------------------------------------------------------- the reference's patterns, draped by another solver (Newton)
 
 
 def test_garments_of_the_reference_system_are_read_as_expected(examples: Path, tmp_path: Path) -> None:
@@ -361,24 +328,3 @@ def test_files_of_the_reference_system_survive_a_round_trip(examples: Path, tmp_
 def _pickled_lengths(content: bytes) -> dict[tuple[int, int], float]:
     """Edge pair to length. Unpickles only trusted files: made for these tests by the reference system, or by us."""
     return {(int(a), int(b)): float(length) for (a, b), length in pickle.loads(content).items()}
-
-
-def test_garments_are_read_in_a_thread(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The training thread transforms them: a transform may draw from the model's random stream."""
-    readers, changers = set[int](), set[int]()
-    members = PublishedGarmentCodeData._members
-
-    def recorded(ds: PublishedGarmentCodeData, *asked: Any) -> Any:
-        readers.add(threading.get_ident())
-        return members(ds, *asked)
-
-    def changed(item: Item) -> Item:
-        changers.add(threading.get_ident())
-        return item
-
-    monkeypatch.setattr(PublishedGarmentCodeData, "_members", recorded)
-    ds = PublishedGarmentCodeData(folders, fields=["verts"], transform=changed)
-    assert sum(len(batch.verts_ptr) - 1 for batch in GarmentLoader(ds, 3)) == len(ds)
-    assert readers
-    assert threading.get_ident() not in readers
-    assert changers == {threading.get_ident()}

@@ -1,20 +1,16 @@
 """Training on generated patterns: random draws and order depend on seeds, not on the way of loading."""
 
-import multiprocessing
-import os
 import pickle
 import random
 from collections import Counter
 from collections.abc import Callable
-from itertools import product
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import ChainDataset, DataLoader, Dataset, DistributedSampler, Subset
+from torch.utils.data import DataLoader, Dataset, DistributedSampler, Subset
 
 from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.loaders import (
@@ -64,9 +60,6 @@ def ids(batch: Any) -> list[int]:
 def every(loader: Any) -> list[int]:
     """Indices of all garments of an epoch."""
     return [number for batch in loader for number in ids(batch)]
-
-
-# ------------------------------------------------------------------------------------------------------- random numbers
 
 
 def jittered(item: dict[str, Any]) -> dict[str, Any]:
@@ -185,9 +178,6 @@ def test_users_data_sets_do_not_change_the_models_random_draws() -> None:
     assert torch.equal(torch.get_rng_state(), before)
 
 
-# ---------------------------------------------------------------------------------------------------------------- ranks
-
-
 @pytest.mark.parametrize(("world_size", "workers"), [(2, 1), (3, 0)])
 def test_ranks_share_an_epoch(folder: Path, ranks: Callable, world_size: int, workers: int) -> None:
     """With 11 garments and batches of 2, the epoch ends differently for each world size."""
@@ -223,61 +213,6 @@ def test_the_rank_is_looked_up_at_each_pass(folder: Path, ranks: Callable) -> No
     assert sorted(every(fixed)) == list(range(N))
 
 
-def test_an_invalid_rank_environment_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2)
-    for rank, world_size in (("2", "2"), ("", "2"), ("-1", "2"), ("x", "y")):
-        monkeypatch.setenv("RANK", rank)
-        monkeypatch.setenv("WORLD_SIZE", world_size)
-        with pytest.raises(ConfigError, match=f"the environment has RANK='{rank}' and WORLD_SIZE='{world_size}'"):
-            next(iter(loader))
-    monkeypatch.setenv("RANK", "0")
-    monkeypatch.setenv("WORLD_SIZE", "13")
-    with pytest.raises(ConfigError, match="12 garments for 13 ranks: give pad='repeat', or fewer ranks"):
-        next(iter(loader))
-    monkeypatch.setenv("WORLD_SIZE", "7")
-    whole = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 1, drop_last=True)
-    assert len(whole) == 1
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    with pytest.raises(ConfigError, match="no rank has 7 of 12 garments: leave out drop_last"):
-        GarmentLoader(GarmentDataset(folder, fields=["meta"]), 7, drop_last=True)
-
-
-def gloo(rank: int, place: Path, folder: Path, tell: Connection) -> None:
-    """A rank that builds its loaders before it joins the process group."""
-    for name in ("RANK", "WORLD_SIZE"):
-        os.environ.pop(name, None)
-    torch.set_num_threads(1)
-    ds = GarmentDataset(folder, fields=["meta"])
-    loader = GarmentLoader(ds, 2)
-    sampler = ElasticSampler(ds)
-    plain = DataLoader(ds, 2, sampler=sampler, collate_fn=collate_packed, num_workers=1)
-    stream = GarmentDataset(folder, fields=["meta"], streaming=True)
-    torch.distributed.init_process_group("gloo", f"file://{place}", rank=rank, world_size=2)
-    seen = [every(it) for it in (loader, loader, plain, DataLoader(stream, 2, collate_fn=collate_packed))]
-    sent = pickle.dumps(stream)  # as to a spawned worker, which has no process group
-    torch.distributed.destroy_process_group()
-    seen.append(every(DataLoader(pickle.loads(sent), 2, collate_fn=collate_packed)))
-    tell.send((seen, loader.state_dict()["position"], sampler.state_dict(received=6)["position"]))
-
-
-def test_ranks_may_join_after_their_loaders_were_built(folder: Path, tmp_path: Path) -> None:
-    fork = multiprocessing.get_context("fork")
-    pipes = [fork.Pipe(duplex=False) for _ in range(2)]
-    children = [
-        fork.Process(target=gloo, args=(rank, tmp_path / "meet", folder, tell)) for rank, (_, tell) in enumerate(pipes)
-    ]
-    for child in children:
-        child.start()
-    assert all(hear.poll(120) for hear, _ in pipes)
-    (first, *states), (second, *others) = (hear.recv() for hear, _ in pipes)
-    for child in children:
-        child.join()
-    for own, other in zip(first, second, strict=True):
-        assert len(own) == len(other) == N // 2
-        assert sorted(own + other) == list(range(N))
-    assert states == others == [2 * N, N]
-
-
 def test_a_framework_sets_the_epoch(folder: Path) -> None:
     ds, sampler = GarmentDataset(folder, fields=["meta"]), ElasticSampler(range(N))
     epochs = [list(sampler) for _ in range(4)]
@@ -297,9 +232,6 @@ def test_a_framework_sets_the_epoch(folder: Path) -> None:
     assert len(ds) == len(sampler)
 
 
-# --------------------------------------------------------------------------------------------------------------- passes
-
-
 @pytest.mark.parametrize("workers", [0, 1])
 def test_a_broken_off_pass_is_not_continued(folder: Path, workers: int) -> None:
     """Lightning's sanity check takes two batches: the next pass covers the whole epoch."""
@@ -316,9 +248,6 @@ def test_a_broken_off_pass_is_not_continued(folder: Path, workers: int) -> None:
     unused = GarmentLoader(ds, 2)
     iter(unused), iter(unused)
     assert every(unused) == epochs[0]
-
-
-# --------------------------------------------------------------------------------------------------------------- states
 
 
 def test_the_state_of_another_data_set_is_refused(folder: Path, tmp_path: Path) -> None:
@@ -376,15 +305,6 @@ def test_the_error_for_an_invalid_state_is_one_line(folder: Path, entry: dict[st
             loader.load_state_dict(nothing)
 
 
-def test_integers_of_any_type_are_valid_in_a_state(folder: Path) -> None:
-    loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2, seed=2**70)
-    loader.load_state_dict({**loader.state_dict(), "position": np.int64(4), "length": torch.tensor(N)})
-    assert len(every(loader)) == N - 4
-
-
-# -------------------------------------------------------------------------------------------------------------- streams
-
-
 @pytest.mark.parametrize(("world_size", "workers"), [(1, 0), (2, 3), (3, 0)])
 def test_ranks_and_workers_split_a_stream_evenly(
     folder: Path, three: Path, ranks: Callable, world_size: int, workers: int
@@ -400,40 +320,6 @@ def test_ranks_and_workers_split_a_stream_evenly(
         assert sorted(seen) == list(range(N))
         assert max(counts) - min(counts) <= 1
         assert workers or seen == list(range(N))
-
-
-@pytest.mark.parametrize(("world_size", "workers", "size"), [(1, 0, 5), (2, 2, 5), (1, 4, 12), (1, 3, None)])
-def test_the_workers_of_a_stream_make_as_many_batches_as_one_process(
-    three: Path, ranks: Callable, world_size: int, workers: int, size: int | None
-) -> None:
-    """``drop_last`` leaves out less than one batch, not one for each worker, and ``len`` is exact on every rank."""
-    stream = GarmentDataset(three, fields=["meta"], streaming=True)
-    for rank, drop_last in product(range(world_size), [False, True] if size else [False]):
-        ranks(rank, world_size)
-        own = len(list(stream))
-        loader = DataLoader(stream, size, num_workers=workers, drop_last=drop_last, collate_fn=collate_list)
-        lengths = [len(batch) for batch in loader] if size else [1 for _ in loader]
-        whole, rest = divmod(own, size or 1)
-        expected = whole * [size or 1] + [rest] * (rest > 0 and not drop_last)
-        assert len(loader) == len(lengths)
-        assert sorted(lengths, reverse=True) == expected
-    chained = DataLoader(
-        ChainDataset([stream, stream]), 5, num_workers=workers, drop_last=True, collate_fn=collate_list
-    )
-    assert len(list(chained)) == len(chained) == 2 * own // 5
-    assert (len(stream), len(GarmentLoader(stream, 2, rank=0, world_size=1))) == (N, N // 2)
-
-
-def test_ranks_and_workers_split_slices_evenly(three: Path, ranks: Callable) -> None:
-    stream = GarmentDataset(three, "train[1:4]+train[9:11]+train[-1:]", fields=["meta"], streaming=True)
-    seen = []
-    for rank in range(4):
-        ranks(rank, 4)
-        seen.append([item["meta"]["index"] for item in stream])
-    assert seen == [[1], [2, 3], [9], [10, 11]]
-
-
-# ----------------------------------------------------------------------------------------------------------- transforms
 
 
 def fails_at_7(item: dict[str, Any]) -> dict[str, Any]:
@@ -457,9 +343,3 @@ def test_an_error_of_a_transform_names_the_garment(folder: Path, streaming: bool
         assert isinstance(raised.value.__cause__, ZeroDivisionError)
     with pytest.raises(TransformError, match=message):
         list(DataLoader(ds, 3, num_workers=1, collate_fn=collate_list))
-
-
-def test_an_error_of_an_augment_names_the_garment(folder: Path) -> None:
-    ds = Augmented(GarmentDataset(folder, fields=["meta"])[2:], lambda item, chance: fails_at_7(item))
-    with pytest.raises(TransformError, match=r"gcd_000000007, number 5 of Augmented\(.*\): ZeroDivisionError"):
-        list(GarmentLoader(ds, 3))

@@ -45,8 +45,8 @@ def test_a_log_has_begin_progress_and_end(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_run_that_goes_on_appends(tmp_path: Path) -> None:
     path = tmp_path / "run.jsonl"
-    for count in (1, 3):
-        generate(tmp_path / "data", count, config=FLAT, log=path)
+    for _ in range(2):
+        generate(tmp_path / "data", 1, config=FLAT, log=path)
     assert [line["event"] for line in lines(path)] == ["begin", "end", "begin", "end"]
     assert lines(path)[-1]["there"] == 1
     generate_people(tmp_path / "people", 2, log=path)

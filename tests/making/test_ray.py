@@ -83,10 +83,7 @@ def test_faults_of_a_node_are_named_with_their_remedy(tmp_path: Path, fake_ray: 
 
 
 def test_an_address_without_a_server_fails_soon(
-    tmp_path: Path,
-    fake_ray: SimpleNamespace,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, fake_ray: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["generate", str(tmp_path / "out"), "--count", "1", "--stage", "pattern", "--engine", "ray"]
     for address in ("127.0.0.1:1", "ray://127.0.0.1:1", "nowhere"):

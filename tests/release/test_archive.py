@@ -78,9 +78,6 @@ def test_an_unwritable_index_suggests_cache_dir(archive: Path) -> None:
             Archive.opened(moved, None)
 
 
-# ---------------------------------------------------------------------------------------------------------- damage
-
-
 def with_size(archive: Path, size: bytes, member: int = 0) -> None:
     """Change the size field of a member, with a valid header checksum."""
     content = bytearray(gzip.decompress(archive.read_bytes()))

@@ -6,20 +6,15 @@ import shutil
 import struct
 import zlib
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import PublishedGarmentCodeData
 from gcd_dataset.release.published_names import properties_name
-from gcd_dataset.release.read_garment import _stretch
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, publish
-
-VERTEX = 28  # bytes of a vertex of a ply file
 
 
 @pytest.fixture(scope="module")
@@ -80,22 +75,15 @@ def doubling(name: str, times: int) -> bytes:
     ("kind", "change", "told"),
     [
         ("box", without_elements, "not a binary PLY"),
-        ("box", of_thousands_of_digits, "not a binary PLY"),
         ("sim", lambda content: b"", "not a binary PLY"),
         ("sim", with_number(float("nan")), "a position coordinate that is over 1e\\+06, or NaN"),
-        ("sim", with_number(3e38), "a position coordinate that is over 1e\\+06"),
-        ("box", with_number(float("inf")), "a position coordinate that is over 1e\\+06"),
         ("front", with_broken_chunk, "not a picture"),
         ("front", of_many_pixels, "not a picture"),
-        ("front", as_gif, "not a picture"),
         ("spec", lambda content: b"[" * 100_000, "Expecting value|levels deep|recursion"),
         ("spec", lambda content: content.replace(b"100", b"1" * 5000, 1), "digits|is not a number"),
         ("spec", lambda content: re.sub(rb'"edge": \d+', b'"edge": 77', content, count=1), "seam 0 joins .*, edge 77"),
-        ("design", lambda content: b"[" * 5000, "not YAML"),
         ("design", lambda content: doubling("design", 60), "more than 64 levels deep, or 300000 values"),
-        ("design", lambda content: b"design: &a {b: *a}", "more than 64 levels deep, or 300000 values"),
         ("design", lambda content: b"design: {a: " + b"[" * 100 + b"]" * 100 + b"}", "more than 64 levels"),
-        ("design", lambda content: b"design: !!bool maybe", "not YAML"),
         ("measures", lambda content: b"body: {height: " + b"9" * 5000 + b"}", "not YAML|height is"),
         ("vertex_labels", lambda content: b"a: [99999999]", "is not a list of vertices of the mesh"),
         ("segmentation", lambda content: b"stitch_" + b"9" * 5000 + b"\n" + content, "labels"),
@@ -119,13 +107,7 @@ def test_an_invalid_body_entry_is_reported(own: Path) -> None:
     assert str(caught.value).startswith(f"{path}: ")
 
 
-@pytest.mark.parametrize(
-    "kept",
-    [
-        b"[" * 100_000,
-        b'{"stamp": STAMP, "fails": ["rand_AAAAAAAAA0"], "facts": {}}',
-    ],
-)
+@pytest.mark.parametrize("kept", [b"[" * 100_000, b'{"stamp": STAMP, "fails": ["rand_AAAAAAAAA0"], "facts": {}}'])
 def test_invalid_cached_properties_are_made_again(own: Path, kept: bytes) -> None:
     read_first(own)
     (path,) = (own / BATCH / BODIES[0]).glob(".*.gcd.json")
@@ -155,15 +137,3 @@ def test_the_nearest_split_and_bodies_are_suggested(folders: Path) -> None:
         PublishedGarmentCodeData(folders, "trian")
     with pytest.raises(ConfigError, match=r"bodies='defualt': choose from .*: did you mean default\?"):
         PublishedGarmentCodeData(folders, bodies="defualt")
-
-
-def test_an_edge_of_zero_flat_length_has_no_stretch(folders: Path) -> None:
-    sample = PublishedGarmentCodeData(folders, bodies="default").sample(0)
-    assert sample.box_mesh is not None
-    assert sample.drape is not None
-    flat = sample.box_mesh.uv.copy()
-    first, second, _ = sample.box_mesh.corners[0]
-    flat[second] = flat[first]
-    stretch = _stretch(replace(sample.box_mesh, uv=flat), sample.drape.vertices.astype(float))
-    assert len(stretch)
-    assert np.isfinite(stretch).all()

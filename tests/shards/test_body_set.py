@@ -9,13 +9,7 @@ import pytest
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.records import MEASURES
 from gcd_dataset.shards import BODIES, ShardReader
-from gcd_dataset.shards.body_set import (
-    decode_body_fields,
-    decode_person,
-    encode_person,
-    mesh_bytes,
-    read_set_mesh,
-)
+from gcd_dataset.shards.body_set import decode_body_fields, decode_person, encode_person, mesh_bytes, read_set_mesh
 from gcd_dataset.shards.sections import pack, unpack
 from tests.shards import folders
 from tests.shards.people import MESH, RECIPE, fake_person, fill

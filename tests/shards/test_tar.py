@@ -78,8 +78,6 @@ def test_samples_of_an_archive_in_memory_are_found(shard: Path) -> None:
             list(samples_in(damaged))
 
 
-# --------------------------------------------------------------------------------------------------------------- decode
-
 # webdataset closes no tar.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 

@@ -162,8 +162,6 @@ def test_recipes_with_4_and_4_0_are_equal() -> None:
     assert len({recipe_hash({"n": value}) for value in (1, True, 1.5)}) == 3
 
 
-# -------------------------------------------------------------------------------------------------------------- drafts
-
 INDICES = range(4)
 PLAN = Plan("garments", 0, fake_sample(0, 0).provenance.recipe, 10, SHARD_SIZE)
 
@@ -221,17 +219,6 @@ def test_a_draft_belongs_to_one_process(tmp_path: Path) -> None:
     finished(tmp_path)
     assert draft(tmp_path, wait=True) is None  # the shard is there
     assert not list(tmp_path.glob(".*"))
-
-
-def test_a_kill_between_the_names_of_a_shard_is_no_loss(tmp_path: Path) -> None:
-    """Pictures and note have their names, the tar has not."""
-    folder = begun(tmp_path / "killed", 4)
-    with no_name(0), pytest.raises(KeyboardInterrupt):
-        finished(folder)
-    assert (folder / "views" / "train-00000.tar").exists()
-    with own_draft(folder) as opened:
-        assert opened.done == set(INDICES)
-    assert finished(folder) == finished(tmp_path / "whole")
 
 
 def test_skipped_samples_are_noted(tmp_path: Path) -> None:

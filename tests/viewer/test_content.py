@@ -89,11 +89,6 @@ def test_weights_of_another_body_model_give_no_body(sample: Sample) -> None:
     assert content_of(sample, ball).body == ball
 
 
-def test_a_sample_of_stage_pattern_has_no_mesh(sample: Sample) -> None:
-    content = content_of(replace(sample, box_mesh=None, drape=None, shape=None))
-    assert (content.mesh, content.draped, content.body) == (None, None, None)
-
-
 def test_tables_hold_the_measures_with_units(sample: Sample) -> None:
     rows = dict(content_of(sample).tables["Measures"])
     assert rows["height"] == f"{sample.measurements.height:.1f} cm"

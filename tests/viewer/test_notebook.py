@@ -11,13 +11,7 @@ import trimesh
 
 from gcd_dataset import generate_people
 from gcd_dataset.generator.drawing import SKIN, draw_body
-from gcd_dataset.loaders import (
-    BodyDataset,
-    FakeGarments,
-    GarmentDataset,
-    collate_packed,
-    collate_padded,
-)
+from gcd_dataset.loaders import BodyDataset, FakeGarments, GarmentDataset, collate_packed, collate_padded
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Panel, Pattern, Sample, StoredView
 from gcd_dataset.viewer.notebook import item_html
@@ -51,20 +45,11 @@ def test_a_pattern_displays_one_group_for_each_panel(sample: Sample) -> None:
     assert elements.count("svg") == 1
 
 
-def test_a_pattern_without_panels_displays_its_name() -> None:
-    elements = displayed(Pattern("nothing", (), ()))
-    assert "nothing" in elements.texts and elements.count("svg") == 0
-
-
 def test_a_sample_displays_its_pictures_and_its_pattern(sample: Sample) -> None:
     assert sample.front and sample.back
     elements = displayed(sample)
     assert (elements.count("img"), elements.count("svg")) == (2, 1)
     assert displayed(replace(sample, front=None, back=None)).count("img") == 0
-
-
-def test_a_sample_without_a_drape_displays(sample: Sample) -> None:
-    assert displayed(replace(sample, box_mesh=None, drape=None, front=None, back=None)).count("svg") == 1
 
 
 def test_texts_of_the_data_are_escaped(sample: Sample) -> None:
@@ -90,13 +75,6 @@ def test_a_batch_displays_the_fronts_of_its_garments(collate: Any) -> None:
     batch = collate([FakeGarments(3)[i] for i in range(3)])
     assert displayed(batch).count("img") == 3
     assert displayed(batch.to(torch.float64)).count("img") == 3
-
-
-def test_a_batch_without_pictures_displays_patterns() -> None:
-    garments = FakeGarments(2, fields=["spec", "verts"])
-    elements = displayed(collate_packed([garments[0], garments[1]]))
-    assert (elements.count("img"), elements.count("svg")) == (0, 2)
-    assert displayed(collate_packed([{"verts": torch.zeros(3, 3)}])).count("svg") == 0
 
 
 def test_drawn_pictures_are_displayed(sample: Sample) -> None:

@@ -18,15 +18,14 @@ import pytest
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardReader, ShardWriter
-from gcd_dataset.viewer.design_desk import Desk
 from gcd_dataset.viewer.garments import Album, ShardAlbum
-from gcd_dataset.viewer.server import Gallery, ShownDesign, serve
+from gcd_dataset.viewer.server import Gallery, serve
 
 
 class Running:
     """A server in a thread."""
 
-    def __init__(self, site: Gallery | ShownDesign) -> None:
+    def __init__(self, site: Gallery) -> None:
         found: list[Any] = []
         ready = threading.Event()
 
@@ -41,14 +40,12 @@ class Running:
         self.address, self.server = found
         self.port, self.first = urlsplit(self.address).port, self.address.partition(str(urlsplit(self.address).port))[2]
         self.cookie = ""
-        self.ask("GET", self.first)
+        self.ask(self.first)
 
-    def ask(self, method: str, path: str, body: Any = None, **headers: str) -> tuple[int, str, str]:
+    def ask(self, path: str, **headers: str) -> tuple[int, str, str]:
         """Status, type and text of an answer to a browser that keeps the cookie, unless ``Cookie`` is given."""
         connection = HTTPConnection("127.0.0.1", self.port, timeout=60)
-        content = None if body is None else body if isinstance(body, str) else json.dumps(body)
-        given = {"Cookie": self.cookie} | ({} if body is None else {"Content-Type": "application/json"})
-        connection.request(method, path, content, {**given, **headers})
+        connection.request("GET", path, headers={"Cookie": self.cookie, **headers})
         answer = connection.getresponse()
         self.cookie = answer.getheader("Set-Cookie", self.cookie).partition(";")[0]
         found = answer.status, answer.headers.get_content_type(), answer.read().decode()
@@ -122,25 +119,18 @@ def gallery(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     running.close()
 
 
-@pytest.fixture(scope="module")
-def design() -> Iterator[Running]:
-    running = Running(ShownDesign(Desk()))
-    yield running
-    running.close()
-
-
 def test_the_bar_starts_at_the_asked_garment_and_escapes_the_title(gallery: Running) -> None:
-    status, kind, text = gallery.ask("GET", "/")
+    status, kind, text = gallery.ask("/")
     assert (status, kind) == (200, "text/html")
     assert '"start":1' in text
     assert "alert(1)</script>" not in text
 
 
 def test_garments_are_found_by_rank_and_by_index(gallery: Running) -> None:
-    found = json.loads(gallery.ask("GET", "/find?rank=4")[2])
+    found = json.loads(gallery.ask("/find?rank=4")[2])
     assert found == {"position": 1, "rank": 1, "count": 3, "following": 2, "key": "gcd_000000001"}
-    assert json.loads(gallery.ask("GET", "/find?text=2")[2])["position"] == 2
-    status, kind, text = gallery.ask("GET", "/garment?position=2")
+    assert json.loads(gallery.ask("/find?text=2")[2])["position"] == 2
+    status, kind, text = gallery.ask("/garment?position=2")
     assert (status, kind) == (200, "text/html")
     assert "gcd_000000002" in text
 
@@ -149,7 +139,7 @@ def test_garments_are_found_by_rank_and_by_index(gallery: Running) -> None:
     "path", ["/nowhere", "/links?position=3", "/find?position=x", "/find?text=77", "/find?rank=" + "9" * 50]
 )
 def test_what_does_not_exist_is_an_error_in_one_line(path: str, gallery: Running) -> None:
-    status, kind, text = gallery.ask("GET", path)
+    status, kind, text = gallery.ask(path)
     assert (status, kind) == (404, "application/json")
     error = json.loads(text)["error"]
     assert error and "\n" not in error
@@ -157,18 +147,18 @@ def test_what_does_not_exist_is_an_error_in_one_line(path: str, gallery: Running
 
 @pytest.mark.parametrize("query", ["position=3", "position=x", "position=0&side=1", "position=x</script>"])
 def test_a_garment_that_cannot_be_shown_is_a_page_with_the_message(query: str, gallery: Running) -> None:
-    status, kind, text = gallery.ask("GET", f"/garment?{query}")
+    status, kind, text = gallery.ask(f"/garment?{query}")
     assert (status, kind) == (404, "text/html")
     data = text.partition('id="fault">')[2].partition("</script>")[0]
     assert re.search("no garment|whole number|no side", json.loads(data)["error"])
 
 
 def test_a_page_that_is_closed_early_leaves_no_message(gallery: Running, capsys: pytest.CaptureFixture[str]) -> None:
-    request = b"POST /more HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\n{"
+    request = b"GET /facets HTTP/1.1\r\nHost: localhost\r\n\r\n"
     with socket.create_connection(("127.0.0.1", gallery.port)) as connection:
         connection.send(request)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # reset when closed
-    assert gallery.ask("GET", "/facets")[0] == 200  # the request before has its thread by now
+    assert gallery.ask("/facets")[0] == 200  # the request before has its thread by now
     for thread in threading.enumerate():
         if "process_request" in thread.name:
             thread.join(30)
@@ -177,7 +167,7 @@ def test_a_page_that_is_closed_early_leaves_no_message(gallery: Running, capsys:
 
 def test_another_host_name_is_refused(gallery: Running) -> None:
     """A page of another site whose name resolves to this machine must not read the data."""
-    assert gallery.ask("GET", "/facets", Host="evil.example")[0] == 403
+    assert gallery.ask("/facets", Host="evil.example")[0] == 403
 
 
 PAGES = ("/", "/facets", "/find?rank=0", "/links?position=0", "/garment?position=0", "/nowhere", "//[")
@@ -188,45 +178,19 @@ def test_nothing_is_answered_without_the_token(path: str, gallery: Running) -> N
     """Other users of the machine reach the port, too."""
     wrong = gallery.cookie[:-1] + ("a" if gallery.cookie[-1] != "a" else "b")
     for cookie in ("", wrong, gallery.cookie.partition("=")[2], "é"):
-        status, _, text = gallery.ask("GET", path, Cookie=cookie)
+        status, _, text = gallery.ask(path, Cookie=cookie)
         assert status == 403 and "printed" in json.loads(text)["error"]
     between = "&" if "?" in path else "?"
-    assert gallery.ask("GET", f"{path}{between}token={wrong}", Cookie="")[0] == 403
-    assert gallery.ask("POST", "/more", {}, Cookie="")[0] == 403
+    assert gallery.ask(f"{path}{between}token={wrong}", Cookie="")[0] == 403
 
 
 def test_the_token_in_the_address_or_the_cookie_opens_every_page(gallery: Running) -> None:
     for path in ("/", "/facets", "/garment?position=0"):
         token = gallery.first.partition("?")[2]
-        assert gallery.ask("GET", f"{path}{'&' if '?' in path else '?'}{token}", Cookie="")[0] == 200
-        assert gallery.ask("GET", path, Cookie=f"other=1; {gallery.cookie}")[0] == 200
-
-
-def test_each_server_has_a_token_of_its_own(gallery: Running, design: Running) -> None:
-    assert gallery.cookie.partition("=")[0] != design.cookie.partition("=")[0]
-    assert design.ask("GET", gallery.first, Cookie=gallery.cookie)[0] == 403
-
-
-def test_a_drawn_pattern_and_the_reasons_of_rules_are_answered(design: Running) -> None:
-    found = json.loads(design.ask("POST", "/draw", {"values": {"meta.upper": "Shirt"}, "measures": {}})[2])
-    assert found["svg"].startswith("<svg") and "shirt" in found["used"]
-    empty = json.loads(design.ask("POST", "/draw", {"values": {}, "measures": {}})[2])
-    assert any(fault.startswith("empty") for fault in empty["faults"])
-
-
-@pytest.mark.parametrize("body", ["{", "[]", {"values": 3}, {"values": {"meta.upper": "Toga"}}, "x" * 1_000_001])
-def test_invalid_requests_are_answered_with_an_error(body: Any, design: Running) -> None:
-    status, _, text = design.ask("POST", "/draw", body)
-    assert status == 404 and json.loads(text)["error"]
-    assert design.ask("GET", "/")[0] == 200  # the server goes on
-
-
-def test_a_request_of_another_type_is_refused(design: Running) -> None:
-    """Forms of other sites can post text, but not JSON."""
-    status, _, text = design.ask("POST", "/draw", "{}", **{"Content-Type": "text/plain"})
-    assert status == 404 and "application/json" in text
+        assert gallery.ask(f"{path}{'&' if '?' in path else '?'}{token}", Cookie="")[0] == 200
+        assert gallery.ask(path, Cookie=f"other=1; {gallery.cookie}")[0] == 200
 
 
 def test_a_port_in_use_is_refused(gallery: Running) -> None:
     with pytest.raises(ConfigError, match="--port"):
-        serve(ShownDesign(Desk()), port=gallery.port or 0, show=lambda _: None)
+        serve(Gallery(Observed()), port=gallery.port or 0, show=lambda _: None)

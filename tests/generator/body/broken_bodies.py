@@ -55,9 +55,6 @@ def broken_body(kind: str, rng: np.random.Generator) -> BrokenBody:
     return BrokenBody(kind, content, truth)
 
 
-# ---------------------------------------------------------------------------------------------------------------- skin
-
-
 def _without_faces(body: Body, gone: np.ndarray) -> _Mesh:
     """The body without the faces that have a vertex of ``gone``."""
     return body.vertices, body.faces[~gone[body.faces].any(axis=1)]
@@ -74,9 +71,6 @@ def _not_a_number(body: Body, rng: np.random.Generator) -> _Mesh:
     return vertices, body.faces
 
 
-# ----------------------------------------------------------------------------------------------------- units and turns
-
-
 def _turned(*degrees: float) -> _Damage:
     turn = Rotation.from_rotvec(np.radians(degrees)).as_matrix()
     return _changed(lambda body, rng: (body.vertices @ turn.T, body.faces))
@@ -90,9 +84,6 @@ def _stretched(factors: Callable[[np.random.Generator], np.ndarray]) -> _Damage:
         return (other.vertices, other.faces), other
 
     return damage
-
-
-# ------------------------------------------------------------------------------------------------- too much, too little
 
 
 def _joined(*meshes: _Mesh) -> _Mesh:
@@ -119,9 +110,6 @@ def _without(*parts: BodyPart) -> _Damage:
 def _twelve_vertices(body: Body, rng: np.random.Generator) -> _Mesh:
     vertices, faces = _mesh_of(trimesh.creation.icosahedron())
     return vertices * [20.0, 85.0, 12.0], faces
-
-
-# ------------------------------------------------------------------------------------------------------ grown together
 
 
 def _arms_down(body: Body, rng: np.random.Generator) -> _Mesh:

@@ -121,40 +121,30 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
     ("name", "content", "expected"),
     [
         ("parts", '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [8]}', "right_leg names vertex 8"),
-        ("parts", '{"left_arm": 4, "right_arm": [5], "left_leg": [6], "right_leg": [7]}', "left_arm is not a list"),
         ("parts", '{"body": [0]}', "lists the parts body: add left_arm, right_arm, left_leg and right_leg"),
         ("parts", PARTS.replace("[4]", "[]") % 7, "left_arm has no vertices: list the vertices of the limb"),
         ("parts", PARTS % -1, "right_leg is not a list of vertex ids: give whole numbers, 0 or more"),
-        ("parts", PARTS % 7.5, "right_leg is not a list of vertex ids"),
         ("parts", '{"%s": 1}' % ("a" * 10**5), "add left_arm, right_arm"),
         ("parts", PARTS % 10**30, "right_leg names vertex 10**15 or more"),
-        ("parts", PARTS % "true", "right_leg is not a list of vertex ids"),
         ("size", 100_000 * "[" + 100_000 * "]", "nested too deeply"),
-        ("size", "body: {height: 2026-13-45}", "not YAML"),
         ("size", f"body: {{height: {10**400}}}", "body.height is 10**15 or more: give a positive number"),
-        ("size", "body: {height: 1.0e+300}", "body.height is 1e+300: give a positive number"),
         (
             "size",
             f"body: {{height: {[[i] for i in range(1000)]}}}",
             "body.height is [[0], [1], [2], [3], [4], [5], ...]",
         ),
-        ("size", "body: {height: 170", "not YAML"),
         ("size", "body:\n  waist: 70\n  waist: 90\n", "line 2, column 3: a repeated key"),
         ("size", "body: {waist: 070}", "the number 070, which is not in base 10"),
-        ("size", "body: {height: 1:50}", "the number 1:50, which is not in base 10"),
         ("size", "a: &a {x: 1}\nbody:\n  <<: *a\n", "line 3, column 3: a merge key (<<): write the entries out"),
         ("size", LAUGHS, "nested too deeply"),
         ("size", MERGED_LAUGHS, "a merge key"),
         ("size", "body: {height: !!python/object:os.system 1}", "not YAML (line 1, column 16: could not determine"),
         ("size", "# much\n" * 200_000, "more than 1 MB: give the path of a measurement YAML"),
-        ("size", "height: 170", "no map named body"),
         ("size", "body: {height: 170}", "body lacks head_l, neck_w"),
         ("size", "body: {height: tall}", "body.height is 'tall': give a positive number"),
-        ("size", "body: {waist: .nan}", "body.waist is nan: give a positive number"),
         ("size", "body: {hips: -3}", "body.hips is -3: give a positive number of centimetres"),
         ("size", "body: {shoulder_incl: steep}", "body.shoulder_incl is 'steep': give a number of degrees"),
         ("mesh", "v 0 0\nf 1 2 9\n", "box.obj"),
-        ("mesh", "", "box.obj"),
         ("mesh", 3 * "v 0 0 0\nv 1 0 0\nv 0 170 0\n" + "f 1 2 3\n", "not closed"),
     ],
 )
@@ -376,9 +366,6 @@ def test_a_floor_of_a_scene_is_not_its_body(tmp_path: Path) -> None:
     assert "left out: 12 triangles not connected to the body, such as a floor" in remarks
 
 
-# ----------------------------------------------------------------------------------------------------- malformed files
-
-
 def glb(tree: Any, data: bytes = b"") -> bytes:
     text = (tree if isinstance(tree, bytes) else json.dumps(tree).encode()).ljust(4)
     text += b" " * (-len(text) % 4)
@@ -397,33 +384,18 @@ NODE = {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], "accessor
 MALFORMED = {
     "far.ply": (ply(3, 1, CORNERS + "3 0 1 99\n"), "a face names vertex 99 of 3"),
     "negative.ply": (ply(3, 1, CORNERS + "3 0 1 -7\n"), "a face names vertex -7 of 3"),
-    "none.ply": (ply(0, 1, "3 0 1 2\n"), ""),
     "huge.ply": (ply(10**12, 1, CORNERS), ""),
-    "digits.ply": (ply(10**12, 1, CORNERS).replace(b"1000000000000", b"9" * 5000), ""),
-    "words.ply": (ply(3, 1, "a b c\n" * 4), ""),
     "nan.ply": (ply(3, 1, CORNERS.replace("170", "nan") + "3 0 1 2\n"), "the position of vertex 1 is not a number"),
-    "nothing.ply": (b"", ""),
     "zero.obj": (f"{V}f 0 1 2\n".encode(), "a face names vertex 0"),
-    "far.obj": (f"{V}f 1 2 99\n".encode(), ""),
     "back.obj": (f"{V}f -1 -2 -9\n".encode(), "a face names vertex -9, but OBJ counts from 1"),
-    "none.obj": (b"f 1 2 3\n", ""),
-    "words.obj": (f"{V}f a b c\n".encode(), ""),
-    "flat.obj": (f"{V}f 1 2\n".encode(), ""),
-    "nothing.stl": (b"", ""),
     "short.stl": (bytes(80) + struct.pack("<I", 10**9) + bytes(50), ""),
-    "words.stl": (b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\nendloop\nendfacet\nendsolid\n", ""),
     "normal.stl": (b"solid a\nfacet normal 0 0 x\nouter loop\nvertex 0 0 0\nvertex 0 nan 0\nvertex 9 0 0\n", ""),
     "nothing.glb": (b"", "cannot be read as GLB"),
     "deep.glb": (glb(b"[" * 100_000), ""),
-    "list.glb": (glb([1]), ""),
-    "empty.glb": (glb({}), ""),
-    "parts.glb": (glb({"nodes": {"a": 1}}), ""),
     "huge.glb": (glb({"accessors": [{"count": 10**12, "componentType": 5126, "type": "VEC3"}]}), ""),
     "loop.glb": (glb({"nodes": [{"children": [1]}, {"children": [0]}]}), ""),
-    "shared.glb": (glb({"nodes": [{"children": [2]}, {"children": [2]}, {}]}), ""),
     "packed.glb": (glb({"extensionsUsed": ["KHR_draco_mesh_compression"]}), "export it without compression"),
     "many.glb": (glb({**NODE, "nodes": [{"mesh": 0}] * 9000}, bytes(36)), ""),
-    "odd.glb": (glb({**NODE, "nodes": [{"mesh": 7}]}), ""),
     "file.glb": (glb({**NODE, "nodes": [{"mesh": 0}], "buffers": [{"uri": "/etc/passwd", "byteLength": 36}]}), ""),
 }
 

@@ -15,14 +15,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.cases.measures import tolerance
 from gcd_dataset.cli import main
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body import (
-    build_body,
-    draw_shape,
-    measure,
-    named_shape,
-    read_body,
-    read_measurements,
-)
+from gcd_dataset.generator.body import build_body, draw_shape, measure, named_shape, read_body, read_measurements
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file

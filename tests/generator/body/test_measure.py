@@ -8,14 +8,7 @@ import pytest
 import trimesh
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body import (
-    build_body,
-    draw_shape,
-    measure,
-    named_shape,
-    neutral_shape,
-    read_measurements,
-)
+from gcd_dataset.generator.body import build_body, draw_shape, measure, named_shape, neutral_shape, read_measurements
 from gcd_dataset.generator.body.section import clipped, contour_length, girth, loose_ends, section, tape
 from gcd_dataset.generator.body.tailor import model_sites, take_measures
 from gcd_dataset.meshedges import mesh_edges

@@ -11,14 +11,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body import (
-    build_body,
-    draw_shape,
-    fit_shape,
-    measure,
-    named_shape,
-    neutral_shape,
-)
+from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_shape, neutral_shape
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.shape import T_POSE, arm_clearance
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape, Measurements

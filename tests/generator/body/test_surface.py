@@ -1,9 +1,5 @@
 """Sections, tapes, shortest paths, nearest points and subdivision, on shapes with known answers."""
 
-import gc
-import weakref
-from unittest.mock import Mock
-
 import numpy as np
 import pytest
 import trimesh
@@ -19,10 +15,9 @@ from gcd_dataset.generator.body.section import (
     loops,
     rough_girths,
     section,
-    section_points,
     tape,
 )
-from gcd_dataset.generator.body.surface import SkinSurface, kept_per_body, refine
+from gcd_dataset.generator.body.surface import SkinSurface, refine
 from gcd_dataset.generator.body.tailor import larger_thigh, over_back
 from gcd_dataset.records import Body
 from tests.helpers import body_from
@@ -128,24 +123,6 @@ def ball(radius: float) -> Body:
     return body_from(trimesh.creation.icosphere(subdivisions=1, radius=radius))
 
 
-def test_it_is_computed_once_for_each_body() -> None:
-    height = Mock(side_effect=lambda body: float(body.vertices[:, 1].max()))
-    kept = kept_per_body(lambda body: height(body))
-    small, large = ball(1.0), ball(2.0)
-    assert [kept(body) for body in (small, large, small, large)] == [1.0, 2.0, 1.0, 2.0]
-    assert height.call_count == 2
-
-
-def test_it_is_dropped_with_the_body() -> None:
-    kept = kept_per_body(lambda body: Mock())
-    body = ball(1.0)
-    derived = weakref.ref(kept(body))
-    assert derived() is not None
-    del body
-    gc.collect()
-    assert derived() is None
-
-
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_a_refined_closed_mesh_stays_closed_and_keeps_its_vertices(share: float) -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
@@ -196,23 +173,6 @@ def test_girth_of_a_cylinder() -> None:
     cut = section(shape.vertices, shape.faces, 1, 3.0)
     assert girth(cut[:, 0][:, XZ]) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
     assert contour_length(cut) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
-
-
-@pytest.mark.parametrize("level", [0.37, 0.0])  # 0.0 runs through vertices
-def test_first_points_of_a_sections_segments_are_all_its_points(level: float) -> None:
-    shape = trimesh.creation.icosphere(subdivisions=4, radius=7.0)
-    cut = section(shape.vertices, shape.faces, 1, level)
-    assert {tuple(p) for p in cut[:, 0].round(9) + 0.0} == {tuple(p) for p in cut[:, 1].round(9) + 0.0}
-    assert np.abs(cut[:, :, 1] - level).max() < 1e-12
-
-
-def test_points_of_several_sections_equal_those_of_each() -> None:
-    shape = trimesh.creation.icosphere(subdivisions=3, radius=7.0)
-    levels = np.array([-3.1, 0.2, 5.5])
-    points, at = section_points(shape.vertices, shape.edges_unique, 1, levels)
-    for level in levels:
-        one = section(shape.vertices, shape.faces, 1, level)[:, 0]
-        assert {tuple(p) for p in points[at == level].round(9)} == {tuple(p) for p in one.round(9)}
 
 
 def test_a_level_off_the_mesh_has_an_empty_section() -> None:

@@ -31,7 +31,7 @@ from gcd_dataset.generator.garments.drawn import hem_depth
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 from gcd_dataset.records import Closure, Measurements, Panel, PanelRole, Pattern
-from tests.generator.garments.conftest import DESIGNS, MAN, STOUT, WOMAN
+from tests.generator.garments.conftest import MAN, STOUT, WOMAN
 
 
 class Worn(NamedTuple):
@@ -101,13 +101,6 @@ def test_every_garment_of_the_wardrobe_has_captions(wardrobe: list[Worn]) -> Non
         assert list(each.captions()) == list(LEVELS)
 
 
-@pytest.mark.parametrize("name", DESIGNS)
-def test_the_designs_of_the_battery_have_captions(name: str) -> None:
-    design = design_from_dict(DESIGNS[name])
-    texts = captions(WOMAN, design, draw_garment(WOMAN, design))
-    assert all(texts.values())
-
-
 def test_captions_are_plain_sentences(wardrobe: list[Worn]) -> None:
     for number, each in enumerate(wardrobe):
         texts = each.captions(number)
@@ -165,9 +158,6 @@ def test_a_collar_that_differing_halves_leave_out_is_not_mentioned() -> None:
     halves = drawn(WOMAN, meta={"upper": "Shirt"}, collar=hood, left={"enable_asym": True, "collar": {"width": 0.9}})
     assert "hood" in both.captions()["full"]
     assert "hood" not in halves.captions()["full"]
-
-
-# -------------------------------------------------------------------------------------------------------------- lengths
 
 
 def middle_length(panel: Panel) -> float:
@@ -238,9 +228,6 @@ def test_short_trousers_are_shorts(length: float, expected: str) -> None:
     assert expected in drawn(WOMAN, meta={"bottom": "Pants"}, pants={"length": length}).captions()["short"].lower()
 
 
-# ------------------------------------------------------------------------------------------------------------- symmetry
-
-
 def test_halves_that_differ_are_said_to_differ() -> None:
     left = {"enable_asym": True, "collar": {"f_collar": "VNeckHalf"}, "sleeve": {"sleeveless": False, "length": 0.9}}
     shirt = drawn(WOMAN, meta={"upper": "Shirt"}, left=left, collar={"f_collar": "SquareNeckHalf"}).captions()
@@ -265,9 +252,6 @@ def test_a_bodice_with_one_strap_is_called_one_shouldered() -> None:
     text = drawn(WOMAN, meta={"upper": "FittedShirt"}, left=left).captions()
     assert "one-shoulder" in text["short"]
     assert "on the right only" in text["full"]
-
-
-# -------------------------------------------------------------------------------------------------------------- wording
 
 
 def test_the_wording_is_a_function_of_seed_and_index() -> None:
@@ -379,10 +363,7 @@ NAMES: list[tuple[dict[str, Any], set[str]]] = [
     ({"meta": {"bottom": "PencilSkirt"}}, {"pencil skirt"}),
     ({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"flare": 1.3}}, {"a-line skirt"}),
     ({"meta": {"bottom": "Skirt2", "wb": "StraightWB"}, "skirt": {"ruffle": 1.5}}, {"gathered skirt", "ruffled"}),
-    (
-        {"meta": {"bottom": "SkirtLevels"}, "levels-skirt": {"base": "SkirtCircle"}},
-        {"tiered skirt", "circle skirt"},
-    ),
+    ({"meta": {"bottom": "SkirtLevels"}, "levels-skirt": {"base": "SkirtCircle"}}, {"tiered skirt", "circle skirt"}),
     ({"meta": {"bottom": "AsymmSkirtCircle"}}, {"circle skirt", "asymmetric"}),
     ({"meta": {"upper": "Cape"}}, {"top", "cape"}),
     *(
@@ -446,9 +427,6 @@ def test_every_garment_has_one_kind_and_words_of_the_vocabulary(wardrobe: list[W
         assert all(len(group & set(found)) <= 1 for group in ALONE)
 
 
-# ------------------------------------------------------------------------------------------------------- drawn pattern
-
-
 def test_five_tiers_of_the_least_length_hang_lower_than_declared() -> None:
     """The tiers declare 2 cm each and are drawn 5 cm long: the hem is at least 15 cm lower."""
     section = {"length": 0.3, "base_length_frac": 0.6, "num_levels": 5, "base": "SkirtCircle", "level": "Skirt2"}
@@ -457,9 +435,6 @@ def test_five_tiers_of_the_least_length_hang_lower_than_declared() -> None:
     assert np.allclose(tiers, 5.0)
     assert 0.3 + 15 / WOMAN.leg_length < hem_depth(WOMAN, worn.design)
     assert "mini" not in garment_tags(*worn)
-
-
-# ------------------------------------------------------------------------------------------------------------- captions
 
 
 def longest_ratio(pattern: Pattern) -> float:

@@ -1,11 +1,7 @@
 """Contacts of cloth with bodies and with cloth: distances, friction, momentum, crossings and their removal."""
 
-import gc
-import weakref
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,7 +13,7 @@ from jaxtyping import Float
 
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
-from gcd_dataset.generator.drape.body_field import HostField, _extremities, _skin, body_field, body_fields, host_field
+from gcd_dataset.generator.drape.body_field import body_field, body_fields, host_field
 from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.model import INERTIA_GAIN, build_model
 from gcd_dataset.generator.drape.outcome import untangle
@@ -79,57 +75,6 @@ def test_each_of_several_bodies_has_its_own_field() -> None:
         off = np.abs(at) - np.ptp(body.vertices, axis=0) / 2
         expected = np.linalg.norm(np.maximum(off, 0.0), axis=-1) + np.minimum(off.max(axis=-1), 0.0)
         assert np.abs(field.distance.numpy() - np.minimum(expected, 4.0)).max() < 1e-3
-
-
-def test_ears_fingers_and_toes_get_hulls_where_the_parts_have_no_head_hands_and_feet() -> None:
-    """GarmentCode's segmentation counts hands as arms, feet as legs and the head as trunk."""
-    body = build_body(neutral_shape())
-    left = body.vertices[:, 0] > 0.0
-    parts = np.where(body.parts == BodyPart.HEAD.value, BodyPart.TRUNK.value, body.parts)
-    for own, sides in (
-        (BodyPart.HANDS, (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM)),
-        (BodyPart.FEET, (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)),
-    ):
-        parts = np.where(parts == own.value, np.where(left, sides[0].value, sides[1].value), parts)
-    found, known = HostField.of(replace(body, parts=parts.astype(np.uint8))), HostField.of(body)
-    skin = _skin(known.digests[0], body)
-    extremities = _extremities(skin.skin.points(body.vertices), skin)
-    assert len(found.hulls) == len(known.hulls) == len(extremities) == 5
-    for points, hull in zip(extremities, found.hulls, strict=True):
-        end = points[np.abs(points[:, 0]) > np.percentile(np.abs(points[:, 0]), 90)]  # fingers, small toes, ears
-        assert (end @ hull.planes[:, :3].T + hull.planes[:, 3]).max() < 0.1
-    assert HostField.of(far_ball()).hulls == ()
-
-
-def test_equal_bodies_share_one_host_field_in_all_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Threads prepare jobs at the same time, each with its own copy of a body."""
-    bodies = [body_from(trimesh.creation.icosphere(subdivisions=2, radius=8.3)) for _ in range(6)]
-    monkeypatch.setattr(HostField, "of", of := Mock(wraps=HostField.of))
-    with ThreadPoolExecutor(3) as pool:
-        fields = list(pool.map(host_field, bodies))
-    of.assert_called_once()
-    assert all(field is fields[0] for field in fields)
-
-
-def test_only_the_last_host_fields_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.generator.drape.body_field.HOSTS_CACHED", 2)
-    bodies = [body_from(trimesh.creation.icosphere(subdivisions=1, radius=radius)) for radius in (5.1, 5.2, 5.3)]
-    first = [host_field(body) for body in bodies]
-    assert host_field(bodies[2]) is first[2]
-    assert host_field(bodies[0]) is not first[0]
-
-
-def test_a_body_that_many_garments_wear_stays_cached_after_a_large_batch() -> None:
-    """The neutral body is worn by every second garment of a batch, and by the next batch again."""
-    shared, *others = (
-        body_from(trimesh.creation.icosphere(subdivisions=1, radius=6.0 + 0.1 * number)) for number in range(11)
-    )
-    field = body_fields([shared, shared, *others], "cpu")[0]
-    body_fields(others[:1], "cpu")
-    known = weakref.ref(field)
-    del field
-    gc.collect()
-    assert known() is not None
 
 
 def test_a_body_without_a_field_fails_every_time() -> None:

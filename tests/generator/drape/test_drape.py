@@ -1,13 +1,8 @@
 """Whole drapes: outcomes, and independence of batch, order and device sharing."""
 
-import gc
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import replace
-from itertools import islice
-from typing import Any
-from weakref import WeakSet
 
 import numpy as np
 import pytest
@@ -19,13 +14,12 @@ from scipy.spatial import cKDTree
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.device import launch_lock
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, Tensile, drape_all, drape_batch
-from gcd_dataset.generator.drape.batches import Lane, Pass, PendingJobs, drape_unordered, none_arrived
-from gcd_dataset.generator.drape.holds import fell, find_keepers, holds, off_body
-from gcd_dataset.generator.drape.kernels.world import DONE, RUNNING
-from gcd_dataset.generator.drape.model import ClothModel, build_model
-from gcd_dataset.generator.drape.outcome import FINISHES, best_of, collect, crosses, slid_off, untangle
+from gcd_dataset.generator.drape.batches import Lane, drape_unordered
+from gcd_dataset.generator.drape.holds import fell, holds, off_body
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.outcome import FINISHES, best_of, collect, crosses, slid_off
 from gcd_dataset.generator.drape.slots import CoarseEnd, Slots, room_for, rooms_of
-from gcd_dataset.generator.drape.solver import Solver, nothing
+from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.mesh import coarse_start, coarsen
@@ -222,24 +216,6 @@ def test_a_garment_starts_from_its_panels_where_its_coarse_mesh_slid_off(monkeyp
     assert held.vertices.tobytes() != drape.vertices.tobytes()
 
 
-def test_a_garment_at_the_very_limit_of_sliding_is_not_settled() -> None:
-    """The kernel sums heights in units of 1/256 cm, so it may stop a garment that ``slid_off`` accepts."""
-    job = on_a_ball(4, labels={"lower_interface": np.arange(25)})
-    job = replace(job, measurements=replace(SIZE, hips_line=20.0 - 1.0 / 512))
-    lowest = find_keepers(job)[1]
-    solver = Solver(build_model([job], DrapeConfig(), "cpu"), DrapeConfig())
-    x = solver.state.x.numpy()
-    x[:] = x + [60.0, 0.0, 0.0]
-    x[:, 1] = lowest + 1e-4
-    solver.state.held.zero_()
-    solver.state.time.fill_(1.0)
-    solver._end_frame()
-    assert solver.state.status.numpy()[0] != RUNNING
-    assert not slid_off(job, x)
-    [drape] = waited(collect(solver, [job], [0]))
-    assert drape.outcome is Outcome.NOT_SETTLED
-
-
 def test_a_dress_hangs_from_its_shoulders() -> None:
     """A garment with a neckline cannot slide off, however low its waist hangs; a skirt can."""
     skirt = on_a_ball(5, labels={"lower_interface": np.arange(6)})
@@ -269,12 +245,6 @@ def test_a_garment_with_more_contacts_than_room_is_draped_with_more_room() -> No
     [roomy] = drape_batch(jobs[1:2], replace(config, contact_capacity=128), device="cpu")
     assert np.array_equal(heap.vertices, roomy.vertices)
     assert [drapes[0], drapes[2]] == drape_batch(jobs[::2], config, device="cpu")
-
-
-def test_an_overfull_contact_list_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.generator.drape.batches.MOST_ROOM", 1)
-    [drape] = drape_batch([folded(on_a_ball(6))], DrapeConfig(contact_capacity=1, max_frames=2), device="cpu")
-    assert drape.outcome is Outcome.OVERFULL
 
 
 def test_an_overfull_contact_list_of_the_coarse_pass_is_reported() -> None:
@@ -340,131 +310,6 @@ def test_garments_enter_and_leave_a_batch_without_a_change_for_others() -> None:
     require_same(2, 1, 2)
 
 
-def test_a_batch_gets_larger_buffers_for_a_larger_garment() -> None:
-    jobs = [on_a_ball(5), on_a_ball(5), on_a_ball(21)]
-    config = DrapeConfig(max_frames=4)
-    given = dict(drape_unordered(iter(jobs), config, device="cpu", at_once=2))
-    for number, job in enumerate(jobs):
-        [alone] = drape_batch([job], config, device="cpu")
-        np.testing.assert_array_equal(given[number].vertices, alone.vertices)
-
-
-@pytest.fixture
-def living(monkeypatch: pytest.MonkeyPatch) -> Iterator[WeakSet[Solver]]:
-    """The solvers that are in memory, without a collection of cycles; none when another is made."""
-    solvers: WeakSet[Solver] = WeakSet()
-
-    def make(model: ClothModel, config: DrapeConfig) -> Solver:
-        assert not solvers
-        solver = Solver(model, config)
-        solvers.add(solver)
-        return solver
-
-    monkeypatch.setattr("gcd_dataset.generator.drape.slots.Solver", make)
-    gc.disable()
-    yield solvers
-    gc.enable()
-
-
-@pytest.mark.parametrize("taken", [1, 4])
-def test_buffers_are_freed_before_larger_ones_are_made_and_at_the_end(
-    living: WeakSet[Solver], taken: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By the lane: what is dropped later waits for the next drape on its stream. ``taken``: drapes, all or not all."""
-    events: list[str] = []
-    free = Lane.free
-
-    def making(room: int, *given: Any, **options: Any) -> Slots:
-        events.append("made")
-        return Slots(room, *given, **options)
-
-    def freeing(lane: Lane) -> None:
-        free(lane)
-        events.append("left" if living else "freed")
-
-    monkeypatch.setattr("gcd_dataset.generator.drape.batches.Slots", making)
-    monkeypatch.setattr(Lane, "free", freeing)
-    jobs, config = [on_a_ball(columns) for columns in (4, 4, 9, 4)], DrapeConfig(max_frames=2)
-    drapes = drape_unordered(iter(jobs), config, device="cpu", at_once=2)
-    assert len(list(islice(drapes, taken))) == taken
-    del drapes
-    assert set(events) == {"made", "freed"}
-    assert events[-1] == "freed"
-
-
-def test_a_lane_that_awaits_results_frees_its_buffers(living: WeakSet[Solver]) -> None:
-    config = DrapeConfig(max_frames=2)
-    lane = Lane(PendingJobs([on_a_ball(4)], config), config, "cpu", size=1, stream=None, between=nothing)
-    lane.advance(none_arrived)
-    lane.advance(none_arrived)
-    assert lane._collecting is not None
-    assert living
-    lane.free()
-    assert not living
-
-
-class SlowStream:
-    """A stream that answers no twice, then yes, when it is asked whether the device has ended its work."""
-
-    def __init__(self, name: str, log: list[str]) -> None:
-        self._name, self._log, self._work, self._asked = name, log, "", 0
-
-    @contextmanager
-    def active(self, *, urgent: bool = False) -> Iterator[None]:
-        self._work = "results" if urgent else "frames"
-        yield
-
-    def mark(self) -> None:
-        self._log.append(f"{self._work} of {self._name}")
-        self._asked = 0
-
-    def reached(self) -> bool:
-        self._asked += 1
-        return self._asked > 2
-
-    def wait(self) -> None:
-        self._asked = 3
-
-    def free_dropped(self) -> None:
-        assert self._asked > 2
-
-
-def test_other_lanes_go_on_while_the_results_of_one_are_awaited(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A cloth comes to rest while one in the other lane falls. Both get the drapes that they get alone."""
-    jobs, config = [on_a_ball(4), on_a_table(beside(SHEET))], DrapeConfig()
-    alone = drape_batch(jobs, config, device="cpu")
-    log: list[str] = []
-    streams, empty = [SlowStream(name, log) for name in ("resting", "falling")], wp.empty
-    monkeypatch.setattr("gcd_dataset.generator.drape.batches.work_streams", lambda *_: streams)
-    monkeypatch.setattr(wp, "empty", lambda *given, pinned=False, **options: empty(*given, **options))  # needs CUDA
-    drapes = dict(drape_unordered(jobs, config, device="cpu", at_once=2, lanes=2))
-    assert [drapes[0], drapes[1]] == alone
-    meanwhile = [log[k + 1] for k, entry in enumerate(log) if entry == "results of resting"]
-    assert len(meanwhile) > 1
-    assert set(meanwhile) == {"frames of falling"}
-
-
-def test_the_place_of_an_ended_garment_goes_to_one_that_waits() -> None:
-    """Also after the last job, while others drape."""
-    config = DrapeConfig()
-    lane = Lane(PendingJobs([], config), config, "cpu", size=3, stream=None, between=nothing)
-    lane.advance(none_arrived)
-    lane._passes = {world: Pass.first(world, on_a_ball(4), config) for world in range(2)}
-    lane._status = wp.array([DONE, RUNNING], dtype=int, device="cpu")
-    assert not lane.replaces(none_arrived)
-    lane._waiting = [Pass.first(2, on_a_ball(4), config)]
-    assert lane.replaces(none_arrived)
-
-
-def test_untangling_keeps_no_solver_in_memory(living: WeakSet[Solver]) -> None:
-    job, config = on_a_ball(4), DrapeConfig()
-    slots = Slots(room_for(job.box_mesh), 1, config, "cpu")
-    slots.place(build_model([job], config, "cpu"), [None])
-    waited(untangle(slots.solver, np.array([True, False])))
-    del slots
-    assert not living
-
-
 def test_a_band_cut_too_small_is_overstretched() -> None:
     """A ring cut for half the girth of its body is stretched to twice its length."""
     barrel = trimesh.creation.cylinder(radius=12.0, height=60.0, sections=48)
@@ -476,12 +321,6 @@ def test_a_band_cut_too_small_is_overstretched() -> None:
         band = tube(columns, 4, radius=13.0, spacing=2.0, height=90.0)
         [drape] = drape_batch([DrapeJob(band, body, SIZE, Fabric(friction=3.0))], device="cpu")
         assert drape.outcome is outcome
-
-
-def test_a_system_without_cpu_affinity_drapes_on_all_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr("os.sched_getaffinity", raising=False)
-    [drape] = drape_batch([on_a_ball(4)], DrapeConfig(max_frames=1), device="cpu")
-    assert drape.frames == 1
 
 
 def test_start_positions_of_another_mesh_are_refused() -> None:

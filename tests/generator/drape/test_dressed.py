@@ -92,10 +92,7 @@ def test_a_garment_over_one_that_failed_is_refused() -> None:
     inner = replace(on_trunk(11.0), body=neutral()[0])
     first, second = drape_outfit([inner, inner], DrapeConfig(max_frames=1), device="cpu")
     assert first.outcome is not Outcome.SETTLED
-    assert (second.outcome, second.reason) == (
-        Outcome.REFUSED,
-        f"garment 0 under it is {first.outcome.name}",
-    )
+    assert (second.outcome, second.reason) == (Outcome.REFUSED, f"garment 0 under it is {first.outcome.name}")
 
 
 def test_garments_of_an_outfit_share_their_body() -> None:

@@ -15,12 +15,7 @@ import warp as wp
 from warp._src import context
 
 from gcd_dataset.generator import device as devices
-from gcd_dataset.generator.drape import (
-    DrapeJob,
-    drape_all,
-    log_drape_time,
-    seconds_per_garment,
-)
+from gcd_dataset.generator.drape import DrapeJob, drape_all
 from gcd_dataset.generator.drape.kernels import place
 from gcd_dataset.generator.drape.solver import Solver
 from tests.helpers import SIZE, far_ball, patch
@@ -69,18 +64,6 @@ def test_compiling_is_logged_once(
         "compiling the kernels of the test for cpu"
     ]
     assert caplog.records[0].levelname == "WARNING"  # shown by a program without logging setup
-
-
-def test_estimates_grow_with_garments_and_finer_meshes(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr("gcd_dataset.generator.drape.loading.cores", lambda: 2)
-    assert seconds_per_garment("cpu", 2.0) < seconds_per_garment("cpu", 1.0) / 2.5
-    with caplog.at_level("INFO", logger="gcd_dataset"):
-        log_drape_time(1, "cpu", 5.0)
-        assert not caplog.records
-        log_drape_time(40, "cpu", 1.0)
-    assert "40 garments at 1 cm on this CPU takes about 2 min" in caplog.text
 
 
 def test_closing_the_iterator_stops_running_drapes(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -182,8 +182,6 @@ def test_at_most_a_tenth_of_random_designs_is_rejected(wearer: Measurements) -> 
     assert sum(isinstance(try_on(wearer, design), Reject) for design in drawn) <= 1
 
 
-# ------------------------------------------------------------------------------------------------------- the reference
-
 EXAMPLES = (
     "asymm_circle_skirt_lapel_dress", "asymmetric_top", "circle_skirt", "dress", "fitted_shirt", "godet_skirt",
     "jumpsuit", "levels_skirt", "pants_cuff", "pencil_skirt", "shirt_sleeves_hood", "strapless_dress",
@@ -251,9 +249,6 @@ def test_garments_have_distinct_names_and_sections_distinct_classes() -> None:
     kinds = {(garment.section, garment.design) for garment in GARMENTS}
     assert len({section for section, _ in kinds}) == len(kinds)
     assert all(isinstance(garment.section_design(GarmentDesign()), garment.design) for garment in GARMENTS)
-
-
-# ------------------------------------------------------------------------------------------ garments beyond GarmentCode
 
 
 @pytest.mark.parametrize(

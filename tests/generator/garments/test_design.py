@@ -1,6 +1,5 @@
 """Design spaces, overlays that narrow them, and design files."""
 
-import inspect
 import json
 import pickle
 import pydoc
@@ -73,26 +72,6 @@ def test_help_names_every_parameter_with_its_meaning() -> None:
             assert f"{path.removeprefix('pants.')}: " in shown
             assert text in shown
     assert "cuff.cuff_len: a number from 0.05 to 0.9; default 0.1 with probability 0.3. Length, as a frac" in shown
-
-
-def test_a_design_without_source_file_is_described_without_meanings() -> None:
-    found: dict[str, Any] = {"real": real, "Design": Design}
-    exec("class BandDesign(Design):\n    depth: float = real(2.0, 1.0, 5.0)", found)
-    kind = dataclass(frozen=True)(found["BandDesign"])
-    assert kind.__doc__ == "BandDesign\n\ndepth: a number from 1 to 5; default 2.0."
-
-
-def test_declaring_a_design_reads_no_source(monkeypatch: pytest.MonkeyPatch) -> None:
-    def read(owner: type) -> str:
-        raise AssertionError(owner)
-
-    monkeypatch.setattr(inspect, "getsource", read)
-
-    @dataclass(frozen=True)
-    class SashDesign(Design):
-        width: float = real(2.0, 1.0, 5.0)
-
-    assert SashDesign().width == 2.0
 
 
 def many(count: int = 2000) -> list[HemDesign]:
@@ -298,32 +277,22 @@ def test_an_excluded_default_loses_its_probability_or_becomes_the_nearest_value(
 BAD = {
     "[pants]\nlenght = 0.5": r"no design parameter is called pants\.lenght: did you mean pants\.length\?",
     "[pnats]\nlength = 0.5": r"is called pnats: did you mean pants\?",
-    "[skirt]\nsuns = 0.5": r"is called skirt\.suns: did you mean flare-skirt\.suns\?",
     "pants = 3": r"pants is 3, not a table of parameters",
     "[pants]\nlength = 0.95": r"pants\.length is 0\.95, not a number from 0\.2 to 0\.9",
-    "[pants]\nlength = nan": r"pants\.length is nan, not a number",
     "[pants]\nlength = 'long'": r"pants\.length is 'long', not a number",
-    "[pants]\nlength = 2001-01-01": r"pants\.length is datetime.*, not a number",
-    "[pants]\nlength = [0.5, 0.6]": r"pants\.length is \[0\.5, 0\.6\], not a number",
     "[pants]\nlength = { range = [0.1, 0.5] }": r"pants\.length is 0\.1, not a number from 0\.2 to 0\.9",
     "[pants]\nlength = { range = [0.8, 0.5] }": r"pants\.length has a range in descending .*: write \[0\.5, 0\.8\]",
-    "[pants]\nlength = { range = [0.5] }": r"pants\.length has a range of 1 values: give two",
     "[pants]\nlength = { range = 0.5 }": r"pants\.length has range = 0\.5, not a list: write range = \[0\.5\]",
     "[pants]\nlength = { options = [0.5] }": r"pants\.length takes no options: .*, so give range, keep, or a value",
     "[pants]\nlength = { rnage = [0.5, 0.6] }": r"pants\.length takes no rnage",
-    "[pants]\nlength = {}": r"pants\.length is an empty table",
     "[pants]\nlength = { keep = 1.5 }": r"pants\.length has keep = 1\.5, not a probability from 0 to 1",
-    "[pants]\nlength = { keep = true }": r"pants\.length has keep = True, not a probability",
     "[pants]\nlength = { range = [0.3, 0.3], keep = 0 }": r"pants\.length has no value left",
     "[sleeve]\nsleeve_angle = { range = [10, 12.5] }": r"sleeve_angle is 12\.5, not a whole number from 10 to 50",
     "[meta]\nbottom = 'Kilt'": r"meta\.bottom is 'Kilt', not one of SkirtCircle, .*, None",
     "[meta]\nbottom = { options = [] }": r"meta\.bottom has no option left: name one or more",
     "[meta]\nbottom = { options = ['none'], keep = 0 }": r"meta\.bottom has no option left: keep is 0",
     "[meta]\nbottom = { options = ['Pants'], keep = 0.5 }": r"meta\.bottom has keep, but no option None, its default",
-    "[meta]\nbottom = { range = ['Pants', 'Pants'] }": r"meta\.bottom takes no range: .*, so give options, keep",
     "[left]\nenable_asym = 'no'": r"left\.enable_asym is 'no', not one of True, False",
-    "[left]\nenable_asym = 0": r"left\.enable_asym is 0, not one of True, False",
-    "[levels-skirt]\nbase = 'none'": r"levels-skirt\.base is 'none', not one of",
     "[pants\nlength = 1": r"line 1, column 7.*: correct the TOML",
 }
 
@@ -477,27 +446,17 @@ def test_names_and_values_beyond_number_end_at_once() -> None:
 
 BAD_FILES = {
     "design:\n  shirt:\n    lenght: {v: 1.0}": r"is called shirt\.lenght: did you mean shirt\.length\?",
-    "design:\n  pant: {}": r"no design parameter is called pant: did you mean pants\?",
     "design:\n  shirt:\n    suns: {v: 1.0}": r"called shirt\.suns: did you mean flare-skirt\.suns\?",
     "design:\n  zzz: {v: 1.0}": r"called zzz: there are meta, waistband",
-    "design:\n  7: {v: 1.0}": r"called 7: there are meta",
     "design:\n  shirt:\n    length: {v: wide}": r"shirt\.length is 'wide', not a number from 0\.5 to 3\.5",
-    "design:\n  shirt:\n    length: {v: .nan}": r"shirt\.length is nan, not a number",
-    "design:\n  shirt:\n    length: {v: true}": r"shirt\.length is True, not a number",
-    "design:\n  shirt:\n    length: {v: 9}": r"shirt\.length is 9, not a number",
     "design:\n  shirt:\n    length: {range: [0, 1]}": r"shirt\.length has no value: write it as v",
     "design:\n  shirt:\n    strapless: {v: 1}": r"shirt\.strapless is 1, not one of True, False",
-    "design:\n  godet-skirt:\n    num_inserts: {v: 5}": r"num_inserts is 5, not one of 4, 6, 8, 10, 12",
     "design:\n  shirt: 5": r"shirt is 5, not a table of parameters",
-    "design:\n  shirt: {v: 5}": r"no design parameter is called shirt\.v",
     "design:\n  shirt: {length: [\n": r"line \d+, column \d+: .*: correct it, or give a design file",
-    "design:\n\tshirt: 5": r"line 2, column 1: .*: correct it, or give a design file",
     "design: {date: 2001-02-30}": r"day is out of range.*: correct it",
     "design: \x01": r"control characters|special characters",
     "a: 1": r"holds \['a'\], no design: give GarmentCode's design_params\.yaml",
     "": r"holds None, no design: give",
-    "design: 5": r"design is 5, not a table",
-    "design:\n  shirt:\n    length: {v: ''}": r"shirt\.length is '', not a number",
     "[" * 100_000 + "]" * 100_000: r"nested too deep",
 }
 

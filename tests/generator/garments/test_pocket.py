@@ -9,12 +9,7 @@ from gcd_dataset.errors import MeshError
 from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.drape import DrapeJob, drape_batch
-from gcd_dataset.generator.garments import (
-    design_from_dict,
-    design_to_dict,
-    draw_garment,
-    sample_design,
-)
+from gcd_dataset.generator.garments import design_from_dict, design_to_dict, draw_garment, sample_design
 from gcd_dataset.generator.garments.drawn import described, garment_tags
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.pocket import LIFT

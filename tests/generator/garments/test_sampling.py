@@ -218,9 +218,6 @@ def test_a_section_drawn_again_keeps_its_garments(redrawing: Redrawing) -> None:
         assert (skirt.base, skirt.level) == (GarmentDesign().levels_skirt.base, GarmentDesign().levels_skirt.level)
 
 
-# ------------------------------------------------------------------------------------------------------ whole designs
-
-
 @pytest.mark.parametrize("number", range(8))
 def test_only_counted_parameters_differ_from_the_draft(woman: Measurements, number: int) -> None:
     drawn, draft = attempted_design(3, number, 0, [woman]), drafted_design(3, number, 0)

@@ -22,8 +22,6 @@ from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.records import Measurements
 from tests.generator.garments.measured import BOTH, ends, errors, length, lengths, skirt
 
-# ------------------------------------------------------------------------------------------------------------ gathered
-
 
 def test_a_gathered_skirt_is_gathered_to_the_waist_and_flares_at_each_side(woman: Measurements) -> None:
     pattern = skirt(woman, Bottom.GATHERED, {"skirt": {"ruffle": 1.5, "flare": 7, "length": 0.4}})
@@ -64,9 +62,6 @@ def test_no_skirt_is_shorter_than_five_centimetres(woman: Measurements, kind: Bo
     assert top == pytest.approx(woman.waist_level)
     shortest = min(length(panel, "right") for panel in pattern.panels)
     assert 5.0 <= shortest + 1e-9 < 7.0
-
-
-# -------------------------------------------------------------------------------------------------------------- pencil
 
 
 def test_a_pencil_skirt_goes_round_the_hips_and_its_darts_take_it_in_to_the_waist(wearer: Measurements) -> None:
@@ -162,9 +157,6 @@ def test_a_pencil_skirt_that_cannot_be_drawn_is_refused(
 def test_a_pencil_skirt_above_the_hips_is_refused(woman: Measurements) -> None:
     with pytest.raises(PatternError, match=r"a pencil skirt ends 12\.6 cm above the hips"):
         pencil_skirt(woman, PencilSkirtDesign(), Cutting(1.0, 10.0, ALL_MENDS))
-
-
-# ------------------------------------------------------------------------------------------------------- circle, panels
 
 
 def test_both_halves_of_an_asymmetric_circle_make_a_disk_with_a_hole(wearer: Measurements) -> None:
@@ -269,9 +261,6 @@ def test_an_impossible_cut_is_refused_with_the_parameter_to_change(woman: Measur
         skirt(woman, kind, sections)
 
 
-# --------------------------------------------------------------------------------------------------------- all of them
-
-
 WEARABLE: dict[Bottom, Mapping[str, Any]] = {
     Bottom.CIRCLE: {},
     Bottom.ASYMMETRIC_CIRCLE: {"flare_skirt": {"cut": {"add": False}}},
@@ -310,9 +299,6 @@ def test_a_skirt_has_the_length_of_its_record(woman: Measurements, kind: Bottom)
     assert told > woman.hips_line
     if kind in (Bottom.GATHERED, Bottom.PENCIL, Bottom.PANELS):
         assert max(h.max() for h in heights) - min(h.min() for h in heights) == pytest.approx(told, abs=1.5)
-
-
-# -------------------------------------------------------------------------------------------------------------- godets
 
 
 GODETS = [
@@ -376,9 +362,6 @@ def test_cuts_that_leave_no_hem_are_a_centimetre_wide(woman: Measurements) -> No
     assert abs(bx - ax) == pytest.approx(0.5)
     hem = woman.hips - woman.hip_back_width - 0.1 * woman.hips
     assert length(front, "bottom") == pytest.approx(hem - 6)
-
-
-# -------------------------------------------------------------------------------------------------------------- levels
 
 
 BASES = ("Skirt2", "PencilSkirt", "SkirtCircle", "AsymmSkirtCircle")

@@ -24,9 +24,6 @@ def labels(pattern: Pattern, panel: str) -> set[str]:
     return {edge.label for edge in pattern.panel(panel).edges} - {""}
 
 
-# ------------------------------------------------------------------------------------------------------- the reference
-
-
 # -------------------------------------------------------------------------------------------------------------- shirts
 
 
@@ -61,9 +58,6 @@ def test_a_square_armhole_goes_in_and_then_up(woman: Measurements) -> None:
     inwards, upwards = sorted(edge_lengths(pattern.panel("left_btorso"), "armhole"))
     assert inwards == pytest.approx(0.5 * (1.05 * woman.back_width - woman.sleeve_balance))
     assert upwards == pytest.approx(1.2 * woman.eased_armscye_depth)
-
-
-# -------------------------------------------------------------------------------------------------------- fitted shirts
 
 
 def test_a_fitted_shirt_closes_around_the_waist(wearer: Measurements) -> None:
@@ -129,9 +123,6 @@ def test_the_reference_cuts_through_the_side_of_a_back(woman: Measurements) -> N
         PatternError, match=r"an armhole 22\.9 cm deep .* room for 22\.8 cm: lower sleeve\.connecting_width"
     ):
         draw_garment(woman, design, mends=ALL_MENDS - {left_out})
-
-
-# ---------------------------------------------------------------------------------------------------- strapless, uneven
 
 
 def test_sides_of_a_strapless_top_are_equally_long(wearer: Measurements) -> None:

@@ -60,9 +60,6 @@ def patchwork() -> Pattern:
     )
 
 
-# ----------------------------------------------------------------------------------------------------------- one panel
-
-
 def test_a_disc_has_its_area() -> None:
     """Two half circles: πr² minus the segments between border chords and circle."""
     half = Arc(15.0, large=False, right=True)
@@ -97,9 +94,6 @@ def test_a_mirrored_panel_has_the_mirrored_mesh() -> None:
     assert left.uv == pytest.approx(right.uv * [-1, 1])
     assert np.array_equal(left.corners, right.corners)
     assert np.array_equal(left.faces, right.faces)
-
-
-# --------------------------------------------------------------------------------------------------------------- seams
 
 
 def test_a_tube_is_open_at_both_ends_and_its_seams_merge_points_in_the_middle() -> None:
@@ -227,9 +221,6 @@ def test_the_same_pattern_gives_the_same_bytes() -> None:
     assert first.vertices.tobytes() == second.vertices.tobytes()
 
 
-# -------------------------------------------------------------------------------------------------------------- labels
-
-
 def labelled(left: str, right: str, free: str) -> Pattern:
     """Two squares side by side; the sides of their seam are labelled, and the top of the second."""
     a = panel("a", rectangle(5.0, 5.0), labels={1: left})
@@ -254,9 +245,6 @@ def test_edges_with_one_label_form_one_set_of_vertices_and_contradictory_labels_
     assert (np.diff(mesh.labels["collar"]) > 0).all()
     with pytest.raises(MeshError, match=r"seam 0 \(a edge 1 to b edge 3\) joins labels left_collar and waist"):
         build_box_mesh(labelled("left_collar", "waist", ""))
-
-
-# -------------------------------------------------------------------------------------------------------------- errors
 
 
 BOW_TIE = panel("bow", [(0.0, 0.0), (10.0, 10.0), (10.0, 0.0), (0.0, 10.0)])
@@ -361,11 +349,7 @@ def test_a_seam_of_right_to_wrong_turns_the_smaller_panel_over() -> None:
 def test_the_faces_of_a_moebius_strip_disagree_in_one_seam(caplog: pytest.LogCaptureFixture) -> None:
     """Three panels in a ring with one seam of right to wrong side form a one-sided band."""
     ring = [panel(name, rectangle(20.0, 5.0), at=(20.0 * k, 0.0, 0.0)) for k, name in enumerate("abc")]
-    seams = (
-        seam(("a", 1), ("b", 3)),
-        seam(("b", 1), ("c", 3)),
-        seam(("c", 1), ("a", 3), right_wrong=True),
-    )
+    seams = (seam(("a", 1), ("b", 3)), seam(("b", 1), ("c", 3)), seam(("c", 1), ("a", 3), right_wrong=True))
     mesh = build_box_mesh(sewn(*ring, seams=seams), spacing=1.0)
     on_seam = [set(mesh.seams[mesh.seams[:, 1] == number, 0].tolist()) for number in range(3)]
     edges = same_direction_edges(mesh.faces)

@@ -42,10 +42,7 @@ DRAWN: dict[str, tuple[list[tuple[float, float]], list[tuple[int, int, Curve]]]]
         [*SQUARE, (12.0, 12.0), (15.0, 15.0)],
         [*((4 + k, 4 + (k + 1) % 4, LINE) for k in range(4)), (8, 9, LINE)],
     ),
-    "curved, and met by another": (
-        [(10.0, 10.0), (30.0, 10.0)],
-        [(4, 5, Quadratic((0.5, 0.5))), (0, 4, LINE)],
-    ),
+    "curved, and met by another": ([(10.0, 10.0), (30.0, 10.0)], [(4, 5, Quadratic((0.5, 0.5))), (0, 4, LINE)]),
     "a fork": ([(10.0, 10.0), (30.0, 10.0), (20.0, 25.0)], [(0, 4, LINE), (4, 5, LINE), (4, 6, LINE)]),
 }
 

@@ -146,15 +146,6 @@ def test_a_narrow_slit_is_left_open(width: float) -> None:
     assert_filled_once(loop(corners, 1.0))
 
 
-def test_a_panel_grows_the_buffers_and_a_small_one_is_filled_in_them_as_before() -> None:
-    small, large = loop(star(1), 1.0), loop(rectangle(200.0, 150.0), 1.0)
-    seeds, faces = triangulate(small, 1.0)
-    assert len(triangulate(large, 1.0)[0]) > 25_000
-    again, same = triangulate(small, 1.0)
-    assert (again == seeds).all()
-    assert (same == faces).all()
-
-
 def test_an_outline_whose_corners_lie_on_a_line_is_filled() -> None:
     """Of a skirt with slits whose tips lie on a line but for rounding; such corners were left without a triangle."""
     border = np.array(
