@@ -31,6 +31,7 @@ BASES: Mapping[str, Sequence[Mapping[str, Any]]] = {
     ],
     "front": [SHIRT | {"front": {"closure": "buttons"}}],
     "pocket": [SHIRT | {"pocket": {"chest": "both"}}, {"meta": {"bottom": "Pants"}, "pocket": {"back": "both"}}],
+    "trim": [SHIRT | {"trim": {"tucks": 4}}, SHIRT | {"front": {"closure": "buttons"}}],
 }
 """Section to designs that show its parameters. A garment's section has none: its parameters change its defaults."""
 COLUMNS, ROWS = 11, 12
