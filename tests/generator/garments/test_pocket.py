@@ -61,9 +61,11 @@ def test_a_welt_is_a_line_where_a_patch_has_its_top_edge(woman: Measurements, un
     assert len(welted.panels) == len(patched.panels) - 1
 
 
-def test_a_draped_pocket_stays_outside(woman: Measurements) -> None:
-    mesh = build_box_mesh(draw_garment(woman, design_from_dict(POCKETS["left_ftorso"])), spacing=3.0)
-    [drape] = drape_batch([DrapeJob(mesh, build_body(neutral_shape()), woman)], device="cpu", at_once=1)
+@pytest.mark.parametrize("under", POCKETS)
+def test_a_draped_pocket_stays_outside(woman: Measurements, under: str) -> None:
+    body = build_body(neutral_shape(legs_apart="pant" in under))
+    mesh = build_box_mesh(draw_garment(woman, design_from_dict(POCKETS[under])), spacing=3.0)
+    [drape] = drape_batch([DrapeJob(mesh, body, woman)], device="cpu", at_once=1)
     assert (drape.outcome, drape.self_crossings, drape.body_crossings) == (Outcome.SETTLED, 0, 0)
 
 
