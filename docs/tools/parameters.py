@@ -31,14 +31,16 @@ BASES: Mapping[str, Sequence[Mapping[str, Any]]] = {
     ],
     "front": [SHIRT | {"front": {"closure": "buttons"}}],
     "pocket": [SHIRT | {"pocket": {"chest": "both"}}, {"meta": {"bottom": "Pants"}, "pocket": {"back": "both"}}],
+    "trim": [SHIRT | {"trim": {"tucks": 4}}, SHIRT | {"front": {"closure": "buttons", "stand": 5.0}}],
 }
 """Section to designs that show its parameters. A garment's section has none: its parameters change its defaults."""
 COLUMNS, ROWS = 11, 12
 TILE = 84, 112  # pixels, with the texts
 LEAST = 16.0  # cm, least size of what a tile shows
 
-Drawing = dict[tuple[bool, str], list[Float[np.ndarray, "n 2"]]]
-"""Panel (whether it is in front, name) to its outline, then edges without a seam and lines inside it [cm]."""
+Lines = list[Float[np.ndarray, "n 2"]]
+Drawing = dict[tuple[bool, str], tuple[Lines, Lines]]
+"""Panel (whether it is in front, name) to its outline and the lines inside it, and its edges without a seam [cm]."""
 
 
 def draw_parameters(axes: Axes, section: str) -> None:
@@ -67,11 +69,11 @@ def _draw(axes: Axes, drawing: Drawing, others: Sequence[Drawing]) -> None:
     colours = {panel: PALETTE[number % len(PALETTE)] for number, panel in enumerate(changed) if panel[0] == front}
     for panel in sorted(drawing, key=colours.__contains__):
         if panel[0] == front:
-            outline, *lines = drawing[panel]
+            (outline, *lines), free = drawing[panel]
             axes.fill(*outline.T, facecolor=colours.get(panel, "0.93"), edgecolor="k", linewidth=0.4)
-            for line in lines:
+            for line in (*lines, *free):
                 axes.plot(*line.T, "k", linewidth=1.2)
-    points = np.concatenate([each[panel][0] for each in others for panel in colours if panel in each])
+    points = np.concatenate([each[panel][0][0] for each in others for panel in colours if panel in each])
     low, high = points.min(axis=0), points.max(axis=0)
     half = np.array([-0.5, 0.5]) * max(1.04 * float((high - low).max()), LEAST)
     axes.set(xlim=0.5 * (low[0] + high[0]) + half, ylim=0.5 * (low[1] + high[1]) + half, aspect="equal")
@@ -117,17 +119,19 @@ def _drawn(design: GarmentDesign) -> tuple[Drawing, bool]:
     drawing: Drawing = {}
     for piece in lay_out(garment.pattern).panels:
         panel, placement = piece.panel, piece.panel.placement
-        marked = [i for i, seam in enumerate(piece.seams) if i >= len(panel.edges) or seam is None]
-        lines = [piece.outline, *(piece.edge_points(index) for index in marked)]
+        count = len(panel.edges)
+        inner, free = range(count, len(piece.seams)), [i for i in range(count) if piece.seams[i] is None]
+        lines = [piece.outline, *(piece.edge_points(index) for index in (*inner, *free))]
         placed = [placement.apply(line) for line in lines]
         middle, (x, y, z) = lines[0].mean(axis=0), placed[0].mean(axis=0)
         is_edge_on = abs(placement.matrix[2, 2]) < 0.7  # turned towards the viewer, on both sides
         flat = [a - middle + (x, y) if is_edge_on else b[:, :2] for a, b in zip(lines, placed, strict=True)]
-        drawing |= {(side, panel.name): flat for side in (True, False) if is_edge_on or side == (z >= 0)}
+        own = flat[: 1 + len(inner)], flat[1 + len(inner) :]
+        drawing |= {(side, panel.name): own for side in (True, False) if is_edge_on or side == (z >= 0)}
     return drawing, not check_design(garment)
 
 
 def _changed(drawings: Iterable[Drawing]) -> set[tuple[bool, str]]:
-    """The panels whose outlines, with the ends of edges and lines on them, differ between drawings."""
-    outlines = [{panel: lines[0].round(1).tolist() for panel, lines in each.items()} for each in drawings]
+    """The panels whose outlines, with the ends of edges on them, or lines inside differ between drawings."""
+    outlines = [{panel: [line.round(1).tolist() for line in own] for panel, (own, _) in e.items()} for e in drawings]
     return {panel for each in outlines for panel in each if any(other.get(panel) != each[panel] for other in outlines)}

@@ -22,6 +22,7 @@ from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.drawn import described, gather, hem_below_waist, hem_depth, part_of, sides_match
 from gcd_dataset.generator.garments.upper import ONE_SHOULDER
 from gcd_dataset.generator.garments.waistband import Waistband, band_rise
+from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.records import Measurements, Pattern
 
 KNEE_HEIGHT = 0.285  # of the body's height: R. Drillis and R. Contini, Body Segment Parameters, 1966
@@ -218,4 +219,6 @@ def _band(size: Measurements, design: GarmentDesign, kind: Waistband) -> Detail:
     cut = "loose" if design.waistband.waist >= LOOSE else "fitted" if kind is Waistband.FITTED else "straight"
     if meta.bottom is None:
         return Detail(Zone.HEM, (f"a {high}{cut} band at the hem",), main=True)
+    if meta.bottom is Bottom.PLEATED and kind is Waistband.FITTED and height >= WIDE:
+        return Detail(Zone.WAIST, ("a hip yoke",), main=True)
     return Detail(Zone.WAIST, (f"a {high}{cut} waistband",), main=True)

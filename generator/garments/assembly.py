@@ -9,6 +9,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.pocket import with_pockets
+from gcd_dataset.generator.garments.trim import with_trim
 from gcd_dataset.generator.garments.waistband import band_rise, waistband
 from gcd_dataset.generator.pattern import Component, assemble
 from gcd_dataset.records import EdgeRole, Measurements, PanelRole, Pattern
@@ -43,6 +44,7 @@ def pieces(size: Measurements, design: GarmentDesign, *, mends: frozenset[Mend] 
     for (above, below), hem in zip(pairwise(placed), hems, strict=False):
         whole = whole.sewn(above.interface(hem), below.interface("top"), gathered=True)
     whole = with_pockets(whole, design.pocket, design.pockets())
+    whole = with_trim(whole, design.worn_trim(), design.front)
     if Mend.EXPORT_PIVOT not in mends:
         # GarmentCode moves each piece in its plane by the fractional part of its first corner's coordinates.
         corners = ([fmod(coordinate, 1.0) for coordinate in piece.outline.origin] for piece in whole.pieces)

@@ -70,7 +70,7 @@ class Tag(Enum):
     OPEN_FRONT = "open front", "fronts that are not joined, as of a cardigan"
     ZIP = "zip", "fronts joined by a zip"
     BUTTONS = "buttons", "fronts that overlap, joined by buttons"
-    POCKETS = "pockets", "patch pockets on the chest of a shirt or on the back of trousers"
+    POCKETS = "pockets", "patch or welt pockets on the chest of a shirt or on the back of trousers"
     ASYMMETRIC = "asymmetric", "halves of a shirt that differ, a slanted hem, or an off-centre skirt or tier"
     RUFFLED = "ruffled", f"gathers of {RUFFLES} or more at waist, levels, sleeves or cuffs"
 

@@ -39,6 +39,7 @@ from gcd_dataset.generator.garments.space import (
     unknown_parameters,
     with_parts,
 )
+from gcd_dataset.generator.garments.trim import TrimDesign
 from gcd_dataset.generator.garments.upper import STRAIGHT_SHIRT, Shirt
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
@@ -93,6 +94,7 @@ class GarmentDesign(Design):
     pants: PantsDesign = section_of(PANTS)
     front: FrontDesign = part(FrontDesign, added=True)
     pocket: PocketDesign = part(PocketDesign, added=True)
+    trim: TrimDesign = part(TrimDesign, added=True)
 
     def sections_used(self) -> frozenset[str]:
         """The names of the fields that the garment is drawn from."""
@@ -105,6 +107,8 @@ class GarmentDesign(Design):
             used.update(part.field for part in (meta.bottom.garment, *meta.bottom.garment.parts(self)))
         if self.pockets():
             used.add("pocket")
+        if self.worn_trim() != TrimDesign():
+            used.add("trim")
         return frozenset(used)
 
     def pocket_sides(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -116,6 +120,13 @@ class GarmentDesign(Design):
         """The panels that have a pocket."""
         chest, back = self.pocket_sides()
         return (*(f"{side}_ftorso" for side in chest), *(f"pant_b_{side[0]}" for side in back))
+
+    def worn_trim(self) -> TrimDesign:
+        """The lines on the fronts of a shirt: tucks of a straight one, buttonholes of one with buttons; or defaults."""
+        tucks = self.trim.tucks if self.meta.upper is Upper.SHIRT else None
+        has_buttons = bool(self.halves()) and self.front.closure is Closure.BUTTONS
+        buttonholes = self.trim.buttonholes if has_buttons else None
+        return replace(self.trim, tucks=tucks, buttonholes=buttonholes) if tucks or buttonholes else TrimDesign()
 
     def mends(self) -> frozenset[Mend]:
         """The mends that may change the pattern of the garment."""

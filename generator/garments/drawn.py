@@ -10,6 +10,7 @@ from gcd_dataset.generator.garments.assembly import bottom_rise
 from gcd_dataset.generator.garments.description import HEMS, RUFFLES, CuffGathers, Description, Detail, Setting, Tag
 from gcd_dataset.generator.garments.design import GarmentDesign
 from gcd_dataset.generator.garments.pocket import pocket_details
+from gcd_dataset.generator.garments.trim import trim_details
 from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
 
 SAME = 0.5  # cm: halves whose panels differ by less are symmetrical
@@ -94,7 +95,7 @@ def _is_symmetrical(pattern: Pattern) -> bool:
             continue
         other = _mirror_name(name, panels)
         # The corners of one panel are the mirror images of the other's, wherever they lie.
-        mine, theirs = _centred(panel.vertices * [-1.0, 1.0]), _centred(panels[other].vertices)
+        mine, theirs = _centred(_corners(panel) * [-1.0, 1.0]), _centred(_corners(panels[other]))
         if len(mine) != len(theirs) or np.linalg.norm(mine[:, None] - theirs, axis=2).min(axis=1).max() >= SAME:
             return False
     return True
@@ -107,6 +108,11 @@ def _mirror_name(name: str, panels: dict[str, Panel]) -> str:
         ("pant_f_r", "pant_f_l"), ("pant_f_l", "pant_f_r"), ("pant_b_r", "pant_b_l"), ("pant_b_l", "pant_b_r"),
     )  # fmt: skip
     return next((other for a, b in swapped if a in name and (other := name.replace(a, b)) in panels), name)
+
+
+def _corners(panel: Panel) -> Float[np.ndarray, "e 2"]:
+    """The corners of the outline, without the ends of lines."""
+    return panel.vertices[[edge.start for edge in panel.edges]]
 
 
 def _centred(corners: Float[np.ndarray, "v 2"]) -> Float[np.ndarray, "v 2"]:
@@ -138,9 +144,12 @@ def described(
     above = Setting(size, cuffs=cuff_gathers(pattern, legs=False))
     setting = Setting(size, bottom_rise(design), gather_below(pattern), cuff_gathers(pattern, legs=True))
     chest, back = design.pocket_sides()
+    on_front = (*pocket_details("chest", chest, design.pocket.kind), *trim_details(design.worn_trim()))
     return (
-        meta.upper.garment.describe(above, design).adding(*pocket_details("chest", chest)) if meta.upper else None,
-        meta.bottom.garment.describe(setting, design).adding(*pocket_details("back", back)) if meta.bottom else None,
+        meta.upper.garment.describe(above, design).adding(*on_front) if meta.upper else None,
+        meta.bottom.garment.describe(setting, design).adding(*pocket_details("back", back, design.pocket.kind))
+        if meta.bottom
+        else None,
     )
 
 

@@ -2,7 +2,8 @@
 
 A panel is drawn folded, as a ring sector from waist to hem, and unfolded by reflections in its folds: so its layers lie
 on each other exactly, and its top is a zigzag, as if folded paper were cut along the waist. Along the top a pleat lies
-in three layers, sewn to each other; the uppermost one is sewn to the waistband.
+in three layers, sewn to each other; the uppermost one is sewn to the waistband. A fitted waistband of most of the
+height from waist to hips is a yoke: the pleats begin at its lower edge.
 """
 
 from dataclasses import dataclass

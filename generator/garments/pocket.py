@@ -1,18 +1,18 @@
-"""Patch pockets on the chest of a straight shirt and on the back of trousers.
+"""Pockets on the front of a straight shirt and on the back of trousers.
 
-A pocket is a panel that lies on another one: its sides and its bottom are sewn to lines inside that panel, its top edge
-is free.
+A patch pocket is a panel that lies on another one: its sides and its bottom are sewn to lines inside that panel, its
+top edge is free. A welt pocket, as on jackets, hangs inside the garment: only its opening is drawn, a line.
 """
 
 from dataclasses import dataclass, replace
 from enum import Enum
 from math import copysign
 
-from gcd_dataset.curves import Point
+from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.description import Detail, Zone
 from gcd_dataset.generator.garments.space import Design, choice, real
-from gcd_dataset.generator.pattern import Component, Outline, Piece
+from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke
 from gcd_dataset.records import LineRole
 
 LIFT = 1.0  # cm between a pocket and the panel under it before sewing
@@ -29,9 +29,16 @@ class Pockets(Enum):
     BOTH = "both"
 
 
+class PocketKind(Enum):
+    """How a pocket is made."""
+
+    PATCH = "patch"
+    WELT = "welt"
+
+
 @dataclass(frozen=True)
 class PocketDesign(Design):
-    """Patch pockets; sampling draws none unless an overlay names one."""
+    """Patch or welt pockets; sampling draws none unless an overlay names one."""
 
     chest: Pockets | None = choice(None, *Pockets, None, weights=(0, 0, 0, 1))
     """Pockets on the front of a straight shirt."""
@@ -43,6 +50,8 @@ class PocketDesign(Design):
     """Depth, as a fraction of the width; less where there is no room above hem or crotch."""
     drop: float = real(0.1, 0.0, 0.25)
     """Height of a chest pocket's top below the armhole, as a fraction of the side seam."""
+    kind: PocketKind = choice(PocketKind.PATCH, *PocketKind, weights=(1, 0))
+    """A welt pocket has the width of a patch, and no cloth: its opening is a line where a patch's top edge would be."""
 
     @staticmethod
     def sides(where: Pockets | None) -> tuple[str, ...]:
@@ -66,7 +75,12 @@ def with_pockets(whole: Component, design: PocketDesign, panels: tuple[str, ...]
         depth = min(design.depth * width, room - ROOM)
         if depth <= ROOM:
             raise PatternError(f"panel {name} has {room:.1f} cm of room for a pocket: leave the pocket out")
-        whole = _patched(whole, piece, (0.5 * x, top), width, depth)
+        if design.kind is PocketKind.WELT:
+            start, end = (0.5 * (x - width), top), (0.5 * (x + width), top)
+            welt = Stroke(start, end, LINE, "pocket_welt", LineRole.PLACEMENT)
+            whole = whole.with_piece(replace(piece, lines=(*piece.lines, welt)))
+        else:
+            whole = _patched(whole, piece, (0.5 * x, top), width, depth)
     return whole
 
 
@@ -84,14 +98,15 @@ def _patched(whole: Component, under: Piece, middle: Point, width: float, depth:
     lined = replace(under, lines=(*under.lines, *lines))
     pocket = replace(under, name=f"{under.name}_pocket", outline=outline, lines=())
     pocket = pocket.moved((0.0, 0.0, copysign(LIFT, under.translation[2])))
-    pieces = (*(lined if piece is under else piece for piece in whole.pieces), pocket)
     along = lined.along(*(line.name for line in lines))
-    return replace(whole, pieces=pieces).sewn(pocket.along(*SEWN), along)
+    whole = whole.with_piece(lined)
+    return replace(whole, pieces=(*whole.pieces, pocket)).sewn(pocket.along(*SEWN), along)
 
 
-def pocket_details(place: str, sides: tuple[str, ...]) -> tuple[Detail, ...]:
+def pocket_details(place: str, sides: tuple[str, ...], kind: PocketKind) -> tuple[Detail, ...]:
     """The pockets in words; ``place``: chest or back."""
     if not sides:
         return ()
-    words = f"two {place} pockets" if len(sides) > 1 else f"a {place} pocket on the {sides[0]}"
+    name = f"{place} welt pocket" if kind is PocketKind.WELT else f"{place} pocket"
+    words = f"two {name}s" if len(sides) > 1 else f"a {name} on the {sides[0]}"
     return (Detail(Zone.BODY if place == "chest" else Zone.LOWER, (words,), sided=len(sides) == 1),)

@@ -41,6 +41,7 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.pocket import PocketDesign
 from gcd_dataset.generator.garments.space import DesignSpace, draw, with_new_numbers
+from gcd_dataset.generator.garments.trim import TrimDesign
 from gcd_dataset.generator.garments.wearable import DrawnDesign, Redraw, wearable
 from gcd_dataset.records import Closure, Measurements
 from gcd_dataset.seeding import Stage
@@ -80,6 +81,8 @@ def sample_draft(
         design = replace(design, front=FrontDesign())
     if not design.pockets():
         design = replace(design, pocket=PocketDesign())
+    if "trim" not in design.sections_used():
+        design = replace(design, trim=TrimDesign())
     return design if design.left.enable_asym else replace(design, left=LeftDesign())
 
 
@@ -183,8 +186,8 @@ def _held_up(
 def _own_sections(design: GarmentDesign, overlay: Overlay) -> set[str]:
     """The fields of the garments of a design, except the parts of a combined bottom.
 
-    The front of a shirt is one of them if the overlay allows a closure, and so are pockets: other data sets keep their
-    random numbers.
+    The front of a shirt is one of them if the overlay allows a closure, and so are pockets and trim: other data sets
+    keep their random numbers.
     """
     meta = design.meta
     sections = {"waistband"} if meta.wb else set()
@@ -194,9 +197,10 @@ def _own_sections(design: GarmentDesign, overlay: Overlay) -> set[str]:
         sections.add("left")
         if set(choice_of(_sections(overlay)["front"], "closure").weighted_options) != {Closure.SEWN}:
             sections.add("front")
-    pocket = _sections(overlay)["pocket"]
-    if any(set(choice_of(pocket, name).weighted_options) != {None} for name in ("chest", "back")):
-        sections.add("pocket")
+    for section, names in (("pocket", ("chest", "back")), ("trim", ("tucks", "buttonholes"))):
+        spaces = (choice_of(_sections(overlay)[section], name) for name in names)
+        if any(set(space.weighted_options) != {None} for space in spaces):
+            sections.add(section)
     return sections | ({meta.bottom.garment.field} if meta.bottom else set())
 
 

@@ -249,9 +249,7 @@ def right_half(
     """
     half = right_torso(size, shirt, neck, arm, fitted=fitted, mends=mends)
     if extension:
-        front = half.piece(FRONT_NAME)
-        wider = with_extension(front, "centre", extension)
-        half = replace(half, pieces=tuple(wider if each is front else each for each in half.pieces))
+        half = half.with_piece(with_extension(half.piece(FRONT_NAME), "centre", extension))
     if not (fitted and shirt.strapless):
         half = half if arm.sleeveless else with_sleeve(size, arm, half, mends=mends)
         half = with_collar(size, neck.component, half)

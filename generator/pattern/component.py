@@ -64,6 +64,10 @@ class Component:
                 return piece
         raise PatternError(f"no panel named {name}: there are {', '.join(piece.name for piece in self.pieces)}")
 
+    def with_piece(self, piece: Piece) -> Self:
+        """With another piece in place of the one of the same name."""
+        return replace(self, pieces=tuple(piece if own.name == piece.name else own for own in self.pieces))
+
     def moved(self, by: Vector) -> Self:
         """Shifted in space [cm]."""
         return replace(self, pieces=tuple(piece.moved(by) for piece in self.pieces))

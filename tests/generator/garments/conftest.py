@@ -68,6 +68,18 @@ DESIGNS: dict[str, Mapping[str, Any]] = {
         "sleeve": {"sleeveless": True},
         "waistband": {"width": 0.4},
     },
+    "tucked shirt with a placket": {
+        "meta": SHIRT,
+        "front": {"closure": "buttons"},
+        "trim": {"tucks": 4, "buttonholes": 6},
+        "pocket": {"chest": "left"},
+    },
+    "trousers with welt pockets": {"meta": {"bottom": "Pants"}, "pocket": {"back": "both", "kind": "welt"}},
+    "pleats under a yoke": {
+        "meta": {"wb": "FittedWB", "bottom": "PleatedSkirt"},
+        "waistband": {"width": 0.8},
+        "pleated-skirt": {"length": 0.1, "depth": 0.5},
+    },
     "open vest": {"meta": SHIRT, "front": {"closure": "open"}, "sleeve": {"sleeveless": True}},
     "flared shirt": {"meta": SHIRT, "shirt": {"flare": 1.4, "length": 2.0}},
     "skirt": {"meta": SKIRT},

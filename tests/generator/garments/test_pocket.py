@@ -43,9 +43,24 @@ def test_a_pocket_lies_outside_on_its_panel_and_is_sewn_to_its_lines(woman: Meas
         coarsen(mesh)
 
 
-def test_a_draped_pocket_stays_outside(woman: Measurements) -> None:
-    mesh = build_box_mesh(draw_garment(woman, design_from_dict(POCKETS["left_ftorso"])), spacing=3.0)
-    [drape] = drape_batch([DrapeJob(mesh, build_body(neutral_shape()), woman)], device="cpu", at_once=1)
+@pytest.mark.parametrize("under", POCKETS)
+def test_a_welt_is_a_line_where_a_patch_has_its_top_edge(woman: Measurements, under: str) -> None:
+    values = POCKETS[under]
+    patched = draw_garment(woman, design_from_dict(values))
+    welted = draw_garment(woman, design_from_dict(values | {"pocket": values["pocket"] | {"kind": "welt"}}))
+    pocket, panel = patched.panel(f"{under}_pocket"), welted.panel(under)
+    [top] = [i for i, edge in enumerate(pocket.edges) if edge.name == "top"]
+    edge, line = (p.placement.apply(np.array(p.edge_ends(i))) for p, i in ((pocket, top), (panel, len(panel.edges))))
+    assert np.sort(line[:, :2], axis=0) == pytest.approx(np.sort(edge[:, :2], axis=0))
+    assert [own.role for own in panel.lines] == [LineRole.PLACEMENT]
+    assert len(welted.panels) == len(patched.panels) - 1
+
+
+@pytest.mark.parametrize("under", POCKETS)
+def test_a_draped_pocket_stays_outside(woman: Measurements, under: str) -> None:
+    body = build_body(neutral_shape(legs_apart="pant" in under))
+    mesh = build_box_mesh(draw_garment(woman, design_from_dict(POCKETS[under])), spacing=3.0)
+    [drape] = drape_batch([DrapeJob(mesh, body, woman)], device="cpu", at_once=1)
     assert (drape.outcome, drape.self_crossings, drape.body_crossings) == (Outcome.SETTLED, 0, 0)
 
 
