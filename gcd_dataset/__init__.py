@@ -68,6 +68,6 @@ __all__ = [
     "publish",
 ]
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 __getattr__, __dir__ = lazy_names(__name__)
