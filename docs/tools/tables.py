@@ -230,7 +230,7 @@ def fabrics_table() -> str:
 
 
 def recipes_table() -> str:
-    """The recipes: what they hold, the hash of their patterns, time and energy to make them on the reports' machines."""
+    """The recipes: content, hash of the patterns, and time and energy to make them on the machines of the reports."""
     scale, fits = read_report("scale"), read_report("fits")
     rows = []
     for recipe in map(find_recipe, recipe_names()):
