@@ -44,6 +44,6 @@ __all__ = [
     "decode", "export", "generate", "generate_people", "generate_recipe", "index", "publish",
 ]  # fmt: skip
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 __getattr__, __dir__ = lazy_names(__name__)

@@ -238,3 +238,17 @@ def test_constraints_pin_every_dependency() -> None:
     wanted = project()["project"]["dependencies"] + project()["project"]["optional-dependencies"]["dev"]
     names = {requirement.split(">")[0].split("=")[0].split("[")[0].strip().lower() for requirement in wanted}
     assert names <= pins
+
+
+def test_the_container_recipes_have_the_same_steps_and_copy_what_is_there() -> None:
+    docker, apptainer = ((ROOT / name).read_text() for name in ("Dockerfile", "apptainer.def"))
+    copied = [word for line in re.findall(r"^COPY (.*) \S+$", docker, re.MULTILINE) for word in line.split()]
+    assert [name for name in copied if not (ROOT / name).exists()] == []
+    assert re.findall(r"^    (\S+) /opt/gcd_dataset/\1$", apptainer, re.MULTILINE) == copied
+    assert {*project()["project"]["license-files"], project()["project"]["readme"]} <= {*copied}
+    assert {Path(folder).parts[0] for folder in project()["tool"]["setuptools"]["package-dir"].values()} <= {*copied}
+    steps = re.findall(r"^RUN (.*)", docker, re.MULTILINE)
+    assert steps == re.findall(r"^    (pip .*)", apptainer, re.MULTILINE)
+    extras = steps[-1].partition("[")[2].partition("]")[0].split(",")
+    assert {*extras} <= {*project()["project"]["optional-dependencies"]}
+    assert re.findall(r"^(?:FROM|From:) (.*)", docker + apptainer, re.MULTILINE) == ["python:3.12-slim"] * 2

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from docs.tools.figures import figures_table, report_list, short_figures
+from docs.tools.figures import figures_table, read_report, report_list, short_figures
 from docs.tools.marked import marked_names, with_parts
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.drape import FABRICS
@@ -23,6 +23,7 @@ from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.parameter import Choice, Integer, plain
 from gcd_dataset.generator.garments.rules import RULES
 from gcd_dataset.generator.garments.space import DesignSpace, Leaf, field_docs, meanings
+from gcd_dataset.generator.recipes import find_recipe, recipe_names
 from gcd_dataset.hub.card import FIELD_DESCRIPTIONS
 from gcd_dataset.loaders.fake import FakeGarments, fake_sample
 from gcd_dataset.loaders.fields import ADDED
@@ -39,6 +40,7 @@ DOCUMENTS = (
     "README.md",
     "docs/concepts/drape.md",
     "docs/concepts/measures.md",
+    "docs/data-card.md",
     "docs/figures.md",
     "docs/format.md",
     "docs/guides/own-fabric.md",
@@ -227,6 +229,40 @@ def fabrics_table() -> str:
     return table(head, rows)
 
 
+def recipes_table() -> str:
+    """The recipes: content, hash of the patterns, and time and energy to make them on the machines of the reports."""
+    scale, fits = read_report("scale"), read_report("fits")
+    rows = []
+    for recipe in map(find_recipe, recipe_names()):
+        minutes = recipe.count / scale.value("scale.garments_per_s") / 60
+        cost = f"{minutes:.1f} min, {scale.value('scale.joules') * recipe.count / 3.6e6:.2g} kWh"
+        if recipe.name == "fits":
+            cost = f"{60 * fits.value('fits.recipe_hours'):.0f} min, {fits.value('fits.recipe_kwh'):.2g} kWh"
+        elif recipe.config.bodies != "both" or recipe.config.resolution != 1.0:
+            cost = "not measured"
+        known = f"`{recipe.patterns[:16]}…`" if recipe.patterns else f"first ten: `{recipe.first_ten[:16]}…`"
+        rows.append((f"`{recipe.name}`", recipe.about, f"{recipe.count:,}", known, cost))
+    return table(("recipe", "holds", "samples", "hash of the patterns", "to make it, computed"), rows)
+
+
+def grades_table() -> str:
+    """The grades of sampled garments, and the outcomes of those that failed."""
+    report = read_report("drape_sampled")
+    count, clean = report.value("drape.garments"), report.value("drape.grade_clean")
+    settled = report.value("drape.settled") / count
+    failed = {
+        outcome.name: number
+        for outcome in Outcome
+        if outcome is not Outcome.SETTLED and (number := report.value(f"drape.{outcome.name.lower()}"))
+    }
+    shares = {Grade.CLEAN: clean, Grade.PAPER: settled - clean, Grade.FAILED: 1 - settled}
+    why = ", ".join(f"{number:.0f} `{name}`" for name, number in failed.items())
+    rows = [
+        (f"`{grade.value}`", f"{100 * share:.1f} %", why * (grade is Grade.FAILED)) for grade, share in shares.items()
+    ]
+    return table(("grade", f"share of {count:.0f} sampled garments", "of these"), rows)
+
+
 TABLES: Mapping[str, Callable[[], str]] = {
     "members": members_table,
     "stages": stages_table,
@@ -243,6 +279,8 @@ TABLES: Mapping[str, Callable[[], str]] = {
     "figures": figures_table,
     "short-figures": short_figures,
     "reports": report_list,
+    "recipes": recipes_table,
+    "grades": grades_table,
 }
 """Name of a generated part to the function that writes it."""
 
