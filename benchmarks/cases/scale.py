@@ -7,7 +7,9 @@ Garments with pictures, as ``gcd generate --bodies both`` makes them, are writte
 ``own_per_s``: rate of the draping process alone with unlimited requests, without pictures; ``share``:
 ``garments_per_s`` divided by it and by the number of GPUs; ``gpu_waits``: the share of the timed stretch in which
 nvidia-smi sees no kernel on the first GPU; ``joules``: mean power of that GPU in it over the garments it drapes a
-second; ``cpu_*``: CPU seconds per garment of each step, in this process, over ``--staged`` designs.
+second; ``cpu_*``: CPU seconds per garment of each step, in this process, over ``--staged`` designs. ``--recipe`` makes
+other garments, such as those of a TOML file, no drape repeated. ``clean``: the share with this grade;
+``frames_clean``: that of the frames of motions without a crossing.
 """
 
 import argparse
@@ -36,6 +38,7 @@ from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest, SharedDraper
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.pipeline import drape_jobs, finish, prepare
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
+from gcd_dataset.generator.recipes import find_recipe
 from gcd_dataset.records import Drape, Outcome
 from gcd_dataset.shards import ShardWriter
 from gcd_dataset.shards.codec import encode_sample
@@ -48,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device", default="auto", help="where cloth is draped; several GPUs as cuda:0,1")
     parser.add_argument("--bodies", default="both", help="wearers, as for gcd generate")
     parser.add_argument("--resolution", type=float, default=1.0, help="[cm]")
+    parser.add_argument("--recipe", help="name, or path of a TOML file; without --bodies")
     parser.add_argument("--picture", type=int, default=512, help="side of the pictures [pixels]; 0 for none")
     parser.add_argument(
         "--seconds", type=float, default=30.0, help="duration of the draper's own measurement; 0 for none"
@@ -60,14 +64,25 @@ def run(options: argparse.Namespace) -> CaseResult:
     """Write shards, then measure the draper and each step alone."""
     if options.count < 2:
         raise ConfigError(f"--count is {options.count}: give 2 or more")
-    config = MakeConfig(
-        bodies=options.bodies, resolution=options.resolution, device=options.device, picture=options.picture
-    )
+    config = find_recipe(options.recipe).config if options.recipe else MakeConfig(bodies=options.bodies)
+    config = replace(config, resolution=options.resolution, device=options.device, picture=options.picture)
+    if options.recipe:
+        config = replace(config, on_fail="keep")
     devices = devices_of(config)
-    outcomes: Counter[str] = Counter()
-    figures = written(config, options, lambda meta: outcomes.update([meta["drape"]["outcome"]]))
+    counts: Counter[str] = Counter()
+
+    def note(meta: dict[str, Any]) -> None:
+        frames = meta.get("motion", {}).get("crossings", [])
+        counts.update([meta["drape"]["outcome"], f"grade {meta['grade']}", *(f"frame {sum(own)}" for own in frames)])
+        counts["frames"] += len(frames)
+
+    figures = written(config, options, note)
     rate = figures[0].value
-    figures.append(Figure("unsettled", 1 - outcomes[Outcome.SETTLED.name] / options.count, "of the garments"))
+    figures.append(Figure("unsettled", 1 - counts[Outcome.SETTLED.name] / options.count, "of the garments"))
+    figures.append(Figure("clean", counts["grade clean"] / options.count, "of the garments"))
+    if counts["frames"]:
+        figures.append(Figure("frames_clean", counts["frame 0"] / counts["frames"], "of the frames"))
+        figures.append(Figure("frames_per_s", rate * counts["frames"] / options.count, "frames of garments"))
     if device_kind(config) == "cuda" and options.seconds:
         own = own_rate(config, prepared=options.prepared, warm=256, seconds=options.seconds)
         figures.append(Figure("own_per_s", own, "garments, by one GPU"))
