@@ -308,8 +308,14 @@ def same_direction_edges(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "n 2"
 def test_no_directed_edge_occurs_twice(name: str) -> None:
     pattern = draw_garment(WOMAN, design_from_dict(BATTERY[name]))
     mesh = build_box_mesh(pattern, spacing=5.0)
-    # Two layers under buttons both face out. Layers of a stack face out and in by turns, and share their folds' ends.
-    layered = [row for row, seam in enumerate(pattern.seams) if seam.closure == "buttons" or pattern.layers(seam)]
+    # Two layers under buttons both face out, as do a pocket and its panel. Layers of a stack face out and in by turns,
+    # and share their folds' ends.
+    on_lines = {(panel.name, k + len(panel.edges)) for panel in pattern.panels for k in range(len(panel.lines))}
+    layered = [
+        row
+        for row, seam in enumerate(pattern.seams)
+        if seam.closure == "buttons" or pattern.layers(seam) or (seam.right.panel, seam.right.edge) in on_lines
+    ]
     on_layers = mesh.seams[np.isin(mesh.seams[:, 1], layered), 0]
     twice = same_direction_edges(mesh.faces)
     assert np.isin(twice, [*on_layers, *mesh.uv_vertex[mesh.folds[:, :2].astype(int)].ravel()]).all()
