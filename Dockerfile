@@ -8,7 +8,7 @@ COPY generator generator
 COPY loaders loaders
 RUN pip install --no-cache-dir -c constraints.txt --index-url "$TORCH_INDEX" torch
 RUN pip install --no-cache-dir -c constraints.txt '.[export,ray,s3]'
-# Drivers are mounted into images that do not come from NVIDIA only on request.
+# The NVIDIA runtime mounts drivers only where this variable asks for them.
 ENV NVIDIA_DRIVER_CAPABILITIES=compute,utility
 WORKDIR /data
 ENTRYPOINT ["gcd"]

@@ -311,8 +311,8 @@ def drape_moving(
     """Drape each pattern on a body that moves through poses, ``fps`` a second, as ``drape_motion`` does.
 
     Other arguments as for ``drape_patterns``. ``Fitting.motion`` ends before a frame in which the garment slides off,
-    falls or diverges: the drape has that outcome, and its reason names the frame, from 1. A garment that does not come
-    to rest in the first pose has no motion. Raises ``BodyError`` for an impossible pose.
+    falls, diverges or has no room for its contacts: the drape has that outcome, and its reason names the frame, from 1.
+    A garment that does not come to rest in the first pose has no motion. Raises ``BodyError`` for an impossible pose.
     """
     for pattern in patterns:
         prepared = _prepared(pattern, wearer, fabric, resolution)

@@ -36,6 +36,7 @@ from gcd_dataset.workers import prefetch, streams
 DEFAULT = MakeConfig()
 # Samples in work in a worker: twice the number at its draper, so that the draper stays busy while finished samples wait
 # for an earlier one on its next attempt.
+MOVING_AT_ONCE = 8  # garments with a motion in work in each process: a second of it takes 9 MB
 AHEAD = 2 * AT_ONCE
 # Finished samples buffered in a worker. Designs are dealt round-robin and yielded in order, so one slow design blocks
 # all workers. In a simulation with 14 workers, a buffer of 24 samples reaches 0.77 of the drapers' rate, 48 samples
@@ -112,7 +113,8 @@ def produce(
             from gcd_dataset.generator.drapers.local import LocalDraper
 
             draper = opened.enter_context(LocalDraper(devices_of(config)[0]))
-        at_once = 1 if draper is None else max(draper.at_once // config.wearers, 1)
+        most = 1 if draper is None else min(draper.at_once, MOVING_AT_ONCE) if config.motion else draper.at_once
+        at_once = max(most // config.wearers, 1)
         pending = _Pending(seed, config, finished, known, last or LastDesign(), pictured)
         for index in in_order(pending.work(indices), draper, ahead=ahead or at_once * config.wearers, at_once=at_once):
             yield pending.pop(index)

@@ -38,7 +38,7 @@ def begin_worker(worker: int) -> None:
     """
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
     threadpoolctl.threadpool_limits(1)
-    gc.freeze()  # Warp arrays that a forked worker inherits are on a GPU that it cannot free them from
+    gc.freeze()  # a forked worker cannot free the parent's arrays on a GPU: keep the collector off them
     threading.Thread(target=_exit_with_parent, args=(os.getppid(), _done_event()), daemon=True).start()
 
 

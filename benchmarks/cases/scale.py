@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2, help="processes that make garments")
     parser.add_argument("--device", default="auto", help="where cloth is draped; several GPUs as cuda:0,1")
-    parser.add_argument("--bodies", default="both", help="wearers, as for gcd generate")
+    parser.add_argument("--bodies", help="wearers, as for gcd generate (default: both)")
     parser.add_argument("--resolution", type=float, default=1.0, help="[cm]")
     parser.add_argument("--recipe", help="name, or path of a TOML file; without --bodies")
     parser.add_argument("--picture", type=int, default=512, help="side of the pictures [pixels]; 0 for none")
@@ -64,7 +64,9 @@ def run(options: argparse.Namespace) -> CaseResult:
     """Write shards, then measure the draper and each step alone."""
     if options.count < 2:
         raise ConfigError(f"--count is {options.count}: give 2 or more")
-    config = find_recipe(options.recipe).config if options.recipe else MakeConfig(bodies=options.bodies)
+    if options.recipe and options.bodies:
+        raise ConfigError("--recipe has bodies of its own: leave --bodies out")
+    config = find_recipe(options.recipe).config if options.recipe else MakeConfig(bodies=options.bodies or "both")
     config = replace(config, resolution=options.resolution, device=options.device, picture=options.picture)
     if options.recipe:
         config = replace(config, on_fail="keep")

@@ -130,6 +130,15 @@ def add_texture(parser: argparse.ArgumentParser, *, form: str) -> None:
     )
 
 
+def textures_of(options: argparse.Namespace) -> dict[str, Path]:
+    """Panel to file, of ``--texture``. Raises ``ConfigError`` for a panel with two files."""
+    textures = dict(options.texture or ())
+    for number, (panel, file) in enumerate(options.texture or ()):
+        if textures[panel] != file:
+            raise ConfigError(f"--texture {panel} is given twice, first as {options.texture[number][1]}: give one file")
+    return textures
+
+
 def _texture(text: str) -> tuple[str, Path]:
     panel, _, file = text.partition("=")
     if not panel or not file:

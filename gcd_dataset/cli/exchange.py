@@ -18,6 +18,7 @@ from gcd_dataset.cli.common import (
     natural_number,
     require_folder,
     sample_of,
+    textures_of,
 )
 from gcd_dataset.cli.datasets import summary_lines
 from gcd_dataset.errors import ConfigError, PatternError, ShardError
@@ -145,8 +146,8 @@ def _export_garment(options: argparse.Namespace, form: str) -> int:
     }
     if options.no_body:
         chosen["body"] = False
-    if options.texture:
-        chosen["textures"] = dict(options.texture)
+    if textures := textures_of(options):
+        chosen["textures"] = textures
     if form == "dxf":
         chosen["created"] = date.today()
     write = partial(getattr(exports, form), **chosen)

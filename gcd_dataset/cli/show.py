@@ -24,6 +24,7 @@ from gcd_dataset.cli.common import (
     position_of,
     reader_of,
     sample_of,
+    textures_of,
     wearer_of,
 )
 from gcd_dataset.errors import ConfigError, GcdError, ShardError
@@ -117,11 +118,13 @@ def _write(options: argparse.Namespace, given: dict[str, Path]) -> int:
     if options.texture:
         if not isinstance(subject, Sample):
             raise ConfigError(f"{options.what} is not draped, and --texture is for draped garments: leave it out")
-        draw = partial(textured_sheet, textures=dict(options.texture))
+        draw = partial(textured_sheet, textures=textures_of(options))
     is_png_alone = options.html is None and options.png is not None
     has_maps = isinstance(subject, Sample) and (is_png_alone or subject.maps is not None)
     require_maps(not options.maps or has_maps, options.what)
     wearer = _wearer(options, is_spec=isinstance(subject, Pattern))
+    if wearer and options.html is None:
+        raise ConfigError("--body is for --html and the viewer, which show panels round it: leave it out")
     if options.png is not None:
         picture = draw(subject) if isinstance(subject, Sample) else draw_pattern(subject)
         write_whole(options.png, png_bytes(picture))
@@ -236,7 +239,9 @@ def _wearer(options: argparse.Namespace, *, is_spec: bool) -> "Wearer | None":
     if not is_spec:
         raise ConfigError("--body and the options of its file are for the panels of a SPEC: leave them out")
     options.body = options.body or "neutral"
-    return wearer_of(options)
+    wearer = wearer_of(options)
+    wearer(False)  # an unreadable body is named before anything is written or served
+    return wearer
 
 
 def _truth(options: argparse.Namespace) -> "Path | ShardReader":

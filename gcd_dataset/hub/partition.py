@@ -36,7 +36,8 @@ class Traits(NamedTuple):
 def partition(reader: ShardReader, shares: Mapping[str, float] = SHARES) -> dict[str, list[int]]:
     """Split to positions of samples in ``reader``, without empty splits.
 
-    The split of a garment depends only on the designs of its family, so it keeps its split when the data set grows.
+    The split of a garment depends only on the designs of its family, so it has the same split in a larger data set
+    of the same seed.
     Raises ``ConfigError`` for shares that are negative or do not add up to 1.
     """
     if not shares or min(shares.values()) < 0 or abs(sum(shares.values()) - 1.0) > 1e-6:

@@ -46,9 +46,8 @@ def convert(
     """Convert the published garments under ``root`` to shards in ``out``; with their official splits.
 
     Garments that cannot be read are skipped, with the reason in ``Progress.skipped``; a repeated call tries them again.
-    Raises ``ShardError`` for a folder that
-    is not in the published layout or has no garment of any split, ``ConfigError`` if ``out`` holds another data set,
-    ``OutputError`` if it cannot be written.
+    Raises ``ShardError`` for a folder that is not in the published layout or has no garment of any split,
+    ``ConfigError`` if ``out`` holds another data set, ``OutputError`` if it cannot be written.
     """
     _batches.cache_clear()  # further batches may have been downloaded
     _dataset.cache_clear()

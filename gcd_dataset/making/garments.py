@@ -62,9 +62,9 @@ def generate(
     log
         A file to which ``gcd_dataset.making.log`` appends.
 
-    A stopped call can be repeated, with either engine; the bytes of the shards depend neither on that nor on
-    ``workers`` and ``job``. Raises ``ConfigError`` if ``out`` holds another data set,
-    ``OutputError`` if it cannot be written, ``GcdError`` if a process is killed.
+    A stopped call can be repeated, with either engine; the bytes of the shards do not depend on stops, ``workers`` and
+    ``job``. Raises ``ConfigError`` if ``out`` holds another data set, ``OutputError`` if it cannot be written,
+    ``GcdError`` if a process is killed.
     """
     splits, config = {TRAIN: range(check_count(count))}, config or MakeConfig()
     options = {"job": job, "workers": workers, "engine": engine, "on_progress": on_progress, "log": log}

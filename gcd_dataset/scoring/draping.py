@@ -19,7 +19,7 @@ from gcd_dataset.generator.device import to_host
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_all, resolve_device
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.moving import Motion
-from gcd_dataset.generator.drape.slots import CoarseEnd, Slots, rooms_of
+from gcd_dataset.generator.drape.slots import CoarseEnd, Slots
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.dressing import dress, has_legs
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
@@ -151,9 +151,8 @@ def motion_crossings(
     The solver is built once, for the body of ``job``, whose skin then moves.
     """
     config, device = DrapeConfig(), resolve_device(device)
-    model = build_model([job], config, device)
-    slots = Slots(sum(rooms_of(model)), 1, config, device)
-    slots.place(model, [CoarseEnd.at_rest(job.box_mesh.vertices, config.sewing_time, device)])
+    start = CoarseEnd.at_rest(job.box_mesh.vertices, config.sewing_time, device)
+    slots = Slots.of(build_model([job], config, device), config, [start])
     slots.move(0, Motion.of([job.body, job.body]), ends=False)
     solver = slots.solver
     for body, vertices in zip(bodies, frames, strict=True):
@@ -162,6 +161,7 @@ def motion_crossings(
         places = to_host(solver.state.x)
         places[solver.model.vertices[0]] = vertices
         solver.state.x.assign(places)
+        solver.refresh_bvh()
         counts = solver.self_crossings(), solver.body_crossings(), solver.body_through()
         yield int(counts[0][0]), int(counts[1][0]), int(counts[2][0])
 

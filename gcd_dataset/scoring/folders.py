@@ -80,7 +80,7 @@ def score(
     workers: int = 1,
     shown: Shown = _unshown,
 ) -> Scores:
-    """The scores of a folder of answers. Every true pattern counts: a missing answer gets the worst of every score.
+    """The scores of a folder of answers. A missing answer gets the worst of every score.
 
     ``truth``: a folder of true specification files, or a folder of ``write_inputs``, which has bodies and inputs of its
     own, and of T4, T5, T6 and T8 answers that are no patterns: see ``scoring.arrays``. ``repair``: see
@@ -143,10 +143,11 @@ def _score_arrays(
     from gcd_dataset.scoring.arrays import answer_files, score_arrays
 
     found = answer_files(task, answers)
-    asked = {name: path for name, path in files.items() if (task.truth / f"{name}.npz").is_file()}
+    given = {path.stem for path in task.inputs.iterdir()}
+    asked = {name: path for name, path in files.items() if name in given}
     remarks = [f"{answers}: {line}" for line in remarks_of(found, asked)]
     if left := len(files) - len(asked):
-        remarks.append(f"{task.truth}: {left} of {len(files)} garments have no NAME.npz, and no score")
+        remarks.append(f"{task.inputs}: {left} of {len(files)} garments have no input, and no score")
     scored = (score_arrays(task, name, read_true(path), found.get(name)) for name, path in sorted(asked.items()))
     return Scores(tuple(shown(scored, len(asked), "scored")), settings, tuple(remarks))
 

@@ -286,8 +286,8 @@ TASKS: Mapping[str, BoardTask] = {
             "NAME_specification.json: the pattern", _box_mesh, DRAPED, truth=_positions,
         ),
         BoardTask(
-            "T8", f"NAME.npz: vertices [cm], {', '.join(MESH)} of the box mesh; first, the cloth in the first of t "
-            f"frames, {FPS / EVERY:g} a second (v, 3) [cm]; pose (t, 21, 3) [rad]; body_vertices (t, b, 3) [cm], "
+            "T8", f"NAME.npz: vertices [cm], {', '.join(MESH)} of the box mesh; first (v, 3) [cm], the cloth in the "
+            f"first of t frames, {FPS / EVERY:g} a second; pose (t, 21, 3) [rad]; body_vertices (t, b, 3) [cm], "
             "body_faces; NAME_specification.json: the pattern", _motion, MOVING, truth=_motion_positions,
             fields=("motion_verts", "motion_pose"), asks=moves, counts=(MOVING_TESTED, MOVING_MINI),
         ),

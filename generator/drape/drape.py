@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from itertools import islice
 from typing import TypeVar, cast
 
 import numpy as np
@@ -19,9 +20,9 @@ from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.moving import Motion
 from gcd_dataset.generator.drape.outcome import KEEPS_CROSSINGS, collect
-from gcd_dataset.generator.drape.slots import CoarseEnd, Slots, rooms_of
+from gcd_dataset.generator.drape.slots import CoarseEnd, Slots
 from gcd_dataset.generator.dressing.worn import WornCloth
-from gcd_dataset.records import FPS, Drape, GarmentMotion, Outcome, Pose
+from gcd_dataset.records import FPS, Body, Drape, GarmentMotion, Outcome, Pose
 from gcd_dataset.shards.motion import NO_FRAMES, motion_as_stored
 
 Made = TypeVar("Made")
@@ -29,6 +30,7 @@ DEFAULT = DrapeConfig()
 AT_ONCE = 128  # garments in a GPU batch: at 1 cm they fill an H200
 GARMENT_BYTES = 120e6  # GPU memory reserved per garment; measured: 100 MB at 1 cm, 12 000 vertices on average
 PREPARERS = 4  # threads that prepare jobs for a GPU
+PART = 64  # poses of a part of a motion: 20 MB of keys
 MOVING_ROOM = 2  # factor of the room for contacts of a garment in motion
 ENDS_MOTION = (Outcome.DIVERGED, Outcome.FELL, Outcome.SLID_OFF, Outcome.OVERFULL)
 MEMORY_SHARE = 0.7  # share of a GPU's free memory that a batch may take
@@ -97,23 +99,31 @@ def drape_motion(
     The body moves to the first pose as for ``DrapeJob.pose``. Between two poses it moves straight, for the nearest
     number of frames: time steps follow from the mesh, and at a spacing of 4 cm a frame takes 0.04 s. Later drapes have
     ``frames`` since the first, are ``SETTLED`` though they move, and keep their crossings. A garment that slides off,
-    falls or diverges ends the sequence after its drape. Raises ``BodyError`` for an impossible pose.
+    falls, diverges or has no room for its contacts ends the sequence after its drape. Raises ``BodyError`` for an
+    impossible pose.
     """
-    device, poses = resolve_device(device), list(poses)
-    if not poses:
+    device, numbered = resolve_device(device), iter(poses)
+    if (first := next(numbered, None)) is None:
         return
-    way = Motion.through(job.body, poses)
-    job = replace(job, pose=poses[0])
+    job = replace(job, pose=first)
     [rest] = drape_batch([job], config, device=device)
     yield rest
-    for _, drape in drape_on([PreparedJob.of(job)], [rest], [way], config, fps=fps, device=device):
+    parts = _parts(job.body, first, numbered)
+    for _, drape in drape_on([PreparedJob.of(job)], [rest], [parts], config, fps=fps, device=device):
         yield drape
+
+
+def _parts(body: Body, last: Pose, poses: Iterator[Pose]) -> Iterator[Motion]:
+    """The motion of a body through poses, of which there may be any number, in parts that fit into memory."""
+    while following := list(islice(poses, PART)):
+        yield Motion.through(body, [last, *following])
+        last = following[-1]
 
 
 def drape_on(
     prepared: Sequence[PreparedJob],
     rests: Sequence[Drape],
-    ways: Sequence[Motion],
+    ways: Sequence[Iterable[Motion]],
     config: DrapeConfig = DEFAULT,
     *,
     fps: float = FPS,
@@ -121,45 +131,48 @@ def drape_on(
 ) -> Iterator[tuple[int, Drape]]:
     """The later drapes of ``drape_motion`` of several garments, in one batch, each with the number of its job.
 
-    ``rests``: the drapes in the first poses. ``ways``: the motion of each body, a key for each pose. Of a garment that
-    is not at rest there are none.
+    ``rests``: the drapes in the first poses. ``ways``: the motion of each body in parts, each from the last key of the
+    part before it; a key for each pose. Of a garment that is not at rest there are none.
     """
-    numbers = [k for k, rest in enumerate(rests) if rest.outcome in KEEPS_CROSSINGS and len(ways[k].keys) > 1]
-    if not numbers:
+    parts = [iter(way) for way in ways]
+    firsts = {k: next(parts[k], None) for k, rest in enumerate(rests) if rest.outcome in KEEPS_CROSSINGS}
+    begun = [(k, part) for k, part in firsts.items() if part is not None and len(part.keys) > 1]
+    if not begun:
         return
     device, config = resolve_device(device), replace(config, untangling_steps=0)
-    given = [prepared[k] for k in numbers]
     model = build_model(
-        [each.job for each in given],
+        [prepared[k].job for k, _ in begun],
         config,
         device,
-        rooms=[MOVING_ROOM] * len(given),
-        constraints=[each.constraints for each in given],
-        fields=[each.field for each in given],
+        rooms=[MOVING_ROOM] * len(begun),
+        constraints=[prepared[k].constraints for k, _ in begun],
+        fields=[prepared[k].field for k, _ in begun],
     )
-    slots, time = Slots(sum(rooms_of(model)), len(given), config, device), config.sewing_time + config.held_time
-    worlds = slots.place(model, [CoarseEnd.at_rest(rests[k].vertices, time, device) for k in numbers])
-    number_in, solver = dict(zip(worlds, numbers, strict=True)), slots.solver
-    for w, k in number_in.items():
-        way = ways[k]
-        slots.move(w, replace(way, keys=(way.home, way.keys[0]), axes=2 * way.axes[:1]), ends=False)
-        slots.move_on(w, way, 1.0 / fps)
+    time = config.sewing_time + config.held_time
+    slots = Slots.of(model, config, [CoarseEnd.at_rest(rests[k].vertices, time, device) for k, _ in begun])
+    for w, (_, part) in enumerate(begun):
+        slots.move(w, replace(part, keys=(part.home, part.keys[0]), axes=2 * part.axes[:1]), ends=False)
+        slots.move_on(w, part, 1.0 / fps)
+    solver, number_in = slots.solver, dict(enumerate(k for k, _ in begun))
     while number_in:
         solver.frame()
         arrived = [w for w in number_in if solver.moving[w].is_at_key]
+        if not arrived:
+            continue
         for w in arrived:
             solver.moving[w].arrive()
         moving = wp.clone(solver.state.x)  # the finish is for the drape alone: the cloth moves on as it was
         drapes = _at_once(collect(solver, [prepared[number_in[w]].job for w in arrived], arrived))
         wp.copy(solver.state.x, moving)
         for w, drape in zip(arrived, drapes, strict=True):
-            yield (
-                number_in[w],
-                replace(drape, outcome=Outcome.SETTLED) if drape.outcome is Outcome.NOT_SETTLED else drape,
-            )
-            if drape.outcome in ENDS_MOTION or solver.moving[w].frame == solver.moving[w].frames:
+            k, has_arrived = number_in[w], solver.moving[w].frame == solver.moving[w].frames
+            yield k, replace(drape, outcome=Outcome.SETTLED) if drape.outcome is Outcome.NOT_SETTLED else drape
+            following = next(parts[k], None) if has_arrived else None
+            if drape.outcome in ENDS_MOTION or (has_arrived and following is None):
                 del number_in[w]
                 slots.free([w])
+            elif following is not None:
+                slots.move_on(w, following, 1.0 / fps)
 
 
 def garment_motion(

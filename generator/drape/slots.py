@@ -112,6 +112,14 @@ class Slots:
         self._rows = model.parameters
         self._axes, self._meshes = to_host(model.cloth.axes), to_host(model.cloth.body_mesh)
 
+    @classmethod
+    def of(cls, model: ClothModel, config: DrapeConfig, starts: Sequence[CoarseEnd | None]) -> Self:
+        """A solver that holds the garments of a model, in its order; ``starts``: as for ``place``."""
+        width, coupled = max(WIDTH, model.rows.width), bool(model.rows.coupled)
+        slots = cls(sum(rooms_of(model)), len(starts), config, model.device, width=width, coupled=coupled)
+        slots.place(model, starts)
+        return slots
+
     def suits(self, model: ClothModel) -> bool:
         """Whether the rows have room for those of a model."""
         rows = self.solver.model.rows
@@ -171,8 +179,11 @@ class Slots:
         )
 
     def _keys(self, motion: Motion) -> wp.array:
-        keys = [np.concatenate([key, axes.reshape(-1, 3)]) for key, axes in zip(motion.keys, motion.axes, strict=True)]
-        return wp.array(np.stack(keys).astype(np.float32), dtype=wp.vec3, device=self.solver.model.device)
+        keys = [
+            np.concatenate([key, axes.reshape(-1, 3).astype(np.float32)])
+            for key, axes in zip(motion.keys, motion.axes, strict=True)
+        ]
+        return wp.array(np.stack(keys), dtype=wp.vec3, device=self.solver.model.device)
 
     def free(self, worlds: Sequence[int]) -> None:
         """Give up the places of garments."""

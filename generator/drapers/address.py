@@ -234,8 +234,9 @@ class SharedDraper:
         request.job.require_drapeable()
         if request.prepared is None:
             with contextlib.suppress(Exception):  # raised again in the drape
-                way = Motion.through(request.job.body, request.motion) if request.motion else None
-                request = replace(request, prepared=PreparedJob.of(request.job), way=way)
+                request = replace(request, prepared=PreparedJob.of(request.job))
+                if request.motion:
+                    request = replace(request, way=Motion.through(request.job.body, request.motion))
         try:
             send_object(self._connection, request)
         except OSError as error:

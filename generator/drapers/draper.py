@@ -126,7 +126,7 @@ def moved(requests: Sequence[DrapeRequest], drapes: Sequence[Drape], device: str
     frames = [[drape] for drape in drapes]
     moving = [k for k, request in enumerate(requests) if request.motion]
     prepared = [requests[k].prepared or PreparedJob.of(requests[k].job) for k in moving]
-    ways = [requests[k].way or Motion.through(requests[k].job.body, requests[k].motion) for k in moving]
+    ways = [[requests[k].way or Motion.through(requests[k].job.body, requests[k].motion)] for k in moving]
     for number, drape in drape_on(prepared, [drapes[k] for k in moving], ways, device=device):
         frames[moving[number]].append(drape)
     return [

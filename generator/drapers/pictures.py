@@ -7,6 +7,7 @@ from typing import Any
 
 from gcd_dataset.generator.drape.drape import batch_capacity
 from gcd_dataset.generator.drape.maps import PendingMaps
+from gcd_dataset.generator.drape.outcome import KEEPS_CROSSINGS
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, moved
 from gcd_dataset.generator.render import PendingPictures, Scene, View, garment_scene, start_pictures
 from gcd_dataset.generator.render.plain import SIDES, start_plain
@@ -30,7 +31,7 @@ class _PendingRequest:
 
 
 class PictureQueue:
-    """Replies to requests on one device, in the order of ``add``: at once if only the drape is asked for."""
+    """Replies to requests on a device, at once if only the drape is asked for; motions wait until several can begin."""
 
     def __init__(self, device: str) -> None:
         self._device = device
@@ -42,16 +43,17 @@ class PictureQueue:
     def add(self, request: DrapeRequest, drape: Drape, reply: Callable[[DrapeReply], None]) -> None:
         """Add a draped garment; this call, or a later call of any method, calls ``reply``."""
         pending = _PendingRequest(request, drape, reply)
-        if not request.motion:
-            self._show(pending)
+        if not request.motion or drape.outcome not in KEEPS_CROSSINGS:
+            [motion] = moved([request], [drape], self._device)
+            self._show(replace(pending, motion=motion))
             return
         self._moving.append(pending)
         if len(self._moving) >= self._most_moving():
             self._move()
 
     def _most_moving(self) -> int:
-        """Garments in motion at once, beside the batches that drape on; a CPU moves one at a time."""
-        return 1 if self._device == "cpu" else min(MOVED, batch_capacity(self._device, sharers=4))
+        """Garments in motion at once, while the batches of the device wait; a CPU moves one at a time."""
+        return 1 if self._device == "cpu" else min(MOVED, batch_capacity(self._device, sharers=8))
 
     def _move(self) -> None:
         batch, self._moving = self._moving, []

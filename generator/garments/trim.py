@@ -91,7 +91,7 @@ def _cloth(piece: Piece, x: float) -> tuple[float, float]:
     """The heights between which a line ``x`` cm from the centre lies ``MARGIN`` inside a front, from the hem up."""
     a = piece.outline.points()
     b = np.roll(a, -1, axis=0)
-    met = (a[:, 0] - x) * (b[:, 0] - x) < 0.0
+    met = (a[:, 0] <= x) != (b[:, 0] <= x)
     a, b = a[met], b[met]
     heights = np.sort(a[:, 1] + (x - a[:, 0]) / (b[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1]))
     return float(heights[0]) + MARGIN, float(heights[1]) - MARGIN

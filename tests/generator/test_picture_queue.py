@@ -97,6 +97,25 @@ def test_a_garment_in_motion_goes_on_from_its_drape(
     assert (reply.pictures is None) == (size == 0)
 
 
+def test_motions_begin_together(jobs: list[DrapeJob], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A garment without a motion, and one that fell, do not wait for them; the last ones do not wait for more."""
+    monkeypatch.setattr("gcd_dataset.generator.drape.drape.drape_on", still)
+    monkeypatch.setattr(PictureQueue, "_most_moving", lambda _: 2)
+    moving = DrapeRequest(0, jobs[0], motion=tuple(walk()[:3]))
+    replies: list[DrapeReply] = []
+    queue, rest = PictureQueue("cpu"), at_rest(jobs[0])
+    queue.add(moving, rest, replies.append)
+    queue.add(replace(moving, number=1), replace(rest, outcome=Outcome.FELL), replies.append)
+    queue.add(replace(moving, number=2, motion=()), rest, replies.append)
+    assert [(reply.number, reply.motion and len(reply.motion.poses)) for reply in replies] == [(1, 0), (2, None)]
+    for number in (3, 4):
+        queue.add(replace(moving, number=number), rest, replies.append)
+    assert [reply.number for reply in replies[2:]] == [0, 3]
+    queue.flush()
+    assert replies[-1].number == 4
+    assert all(reply.motion and reply.motion.poses == moving.motion for reply in replies[2:])
+
+
 def test_every_garment_gets_its_own_views(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also beside a diverged drape, which has none, and beside garments that ask for none."""
     monkeypatch.setattr(PictureQueue, "_batch_size", lambda *_: 2)

@@ -166,6 +166,10 @@ def test_positions_are_compared_in_each_frame_but_the_first(
     np.savez(answers / "a.npz", vertices=np.concatenate([true[:1] + 50, true[1:]]))
     np.savez(answers / "c.npz", vertices=np.stack([first, first]))
     np.savez(answers / "d.npz", vertices=first)
+    assert main(["score", str(answers), str(folder)]) == 1  # an input without its truth
+    assert "truth/b.npz: cannot be read" in capsys.readouterr().err
+    for path in (folder / "inputs").glob("b*"):
+        path.unlink()
     found = scored(folder, answers)
     assert (found["a"]["error_cm"], found["a"]["within_1cm"]) == (0, 1)
     assert (found["c"]["error_cm"], found["c"]["within_1cm"]) == (pytest.approx(2), 0)
@@ -173,4 +177,4 @@ def test_positions_are_compared_in_each_frame_but_the_first(
     assert (found["d"]["error_cm"], found["d"]["stretch_error"]) == (100, 1)
     assert found["d"]["self_crossings"] > found["a"]["self_crossings"]
     assert "b" not in found
-    assert "1 of 4 garments have no NAME.npz, and no score" in capsys.readouterr().err
+    assert "1 of 4 garments have no input, and no score" in capsys.readouterr().err

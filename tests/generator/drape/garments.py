@@ -19,7 +19,7 @@ from gcd_dataset.generator.drape.moving import Motion
 from gcd_dataset.generator.garments import GarmentDesign, draw_garment
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.records import Body, BodyPart, BoxMesh, Drape, Measurements
+from gcd_dataset.records import Body, BodyPart, BoxMesh, Drape, Measurements, Outcome
 
 SIDES = {"left": 1.0, "right": -1.0}
 LIMBS = {
@@ -175,6 +175,9 @@ def _rings(following: dict[int, list[int]]) -> Iterable[Int[np.ndarray, " n"]]:
         yield np.array(ring[:-1])
 
 
-def still(_: object, rests: Sequence[Drape], ways: Sequence[Motion], **__: object) -> Iterator[tuple[int, Drape]]:
+def still(
+    _: object, rests: Sequence[Drape], ways: Sequence[Iterable[Motion]], **__: object
+) -> Iterator[tuple[int, Drape]]:
     """In place of ``drape_on``: cloth that stays where it is."""
-    return ((k, rest) for k, rest in enumerate(rests) for _ in ways[k].keys[1:])
+    moving = ((k, rest) for k, rest in enumerate(rests) if rest.outcome is Outcome.SETTLED)
+    return ((k, rest) for k, rest in moving for part in ways[k] for _ in part.keys[1:])

@@ -8,14 +8,14 @@ from jaxtyping import Float
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import named_pose, pose_body
-from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, drape_motion
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, drape_motion, fabric_named
 from gcd_dataset.generator.drape import moving as moving_module
 from gcd_dataset.generator.drape.batches import PreparedJob
 from gcd_dataset.generator.drape.body_field import AXES
 from gcd_dataset.generator.drape.drape import drape_on
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.moving import Motion
-from gcd_dataset.generator.drape.slots import Slots, rooms_of
+from gcd_dataset.generator.drape.slots import WIDTH, Slots, rooms_of
 from gcd_dataset.generator.dressing.worn import WornCloth
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -150,21 +150,36 @@ def test_a_motion_yields_a_drape_for_each_pose() -> None:
 
 
 def test_garments_in_motion_are_those_of_each_alone() -> None:
-    """Two in a batch, of different lengths and motions, of which one ends earlier."""
+    """In a batch, of other cloth and other motions, of which one ends earlier."""
     body, size = neutral()
-    alone, jobs, ways = list[list[Drape]](), list[DrapeJob](), list[Motion]()
-    for length, bone, count in ((0.2, "left_thigh", 3), (0.4, "right_thigh", 5)):
-        design = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": length}})
-        job = DrapeJob(build_box_mesh(draw_garment(size, design), spacing=5.0), body, size)
-        poses = [Pose({bone: (0.06 * k, 0.0, 0.0)}) for k in range(count)]
+    alone, jobs, ways = list[list[Drape]](), list[DrapeJob](), list[list[Motion]]()
+    skirt = {"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.2}}
+    shirt = {"meta": {"upper": "Shirt"}}
+    for design, fabric, count in ((skirt, "denim", 3), (shirt, "gcd_soft", 4)):
+        mesh = build_box_mesh(draw_garment(size, design_from_dict(design)), spacing=4.0)
+        job = DrapeJob(mesh, body, size, fabric_named(fabric))
+        poses = [Pose({"left_thigh": (0.06 * k, 0.0, 0.0)}) for k in range(count)]
         alone.append(list(drape_motion(job, poses, device="cpu")))
         jobs.append(replace(job, pose=poses[0]))
-        ways.append(Motion.through(body, poses))
+        ways.append([Motion.through(body, poses)])
+    ways[1] = [Motion.through(body, poses[:2]), Motion.through(body, poses[1:])]  # the same motion in two parts
     together = [[drapes[0]] for drapes in alone]
     prepared = [PreparedJob.of(job) for job in jobs]
     for number, drape in drape_on(prepared, [drapes[0] for drapes in alone], ways, device="cpu"):
         together[number].append(drape)
-    assert [len(drapes) for drapes in together] == [3, 5]
-    for one, other in zip(alone, together, strict=True):
+    assert [len(drapes) for drapes in together] == [3, 4]
+    for one, other, apart in zip(alone, together, (0.0, 0.02), strict=True):
         for drape, same in zip(one, other, strict=True):
-            np.testing.assert_array_equal(drape.vertices, same.vertices)
+            np.testing.assert_allclose(drape.vertices, same.vertices, atol=apart, rtol=0.0)
+
+
+def test_buffers_hold_the_garments_that_they_are_made_for() -> None:
+    """Also of woven cloth, whose warp and weft are coupled, and vertices with many neighbours, as round a pocket."""
+    body, size = neutral()
+    design = design_from_dict({"meta": {"upper": "Shirt"}, "pocket": {"chest": "both"}})
+    mesh, config = build_box_mesh(draw_garment(size, design), spacing=3.0), DrapeConfig()
+    model = build_model([DrapeJob(mesh, body, size, fabric_named("denim"))], config, "cpu")
+    assert model.rows.width > WIDTH
+    assert model.rows.coupled
+    assert Slots.of(model, config, [None]).suits(model)
+    assert not Slots(sum(rooms_of(model)), 1, config, "cpu").suits(model)
