@@ -94,7 +94,7 @@ def test_a_conversion_of_more_garments_needs_another_folder(
     assert run("convert", published, tmp_path / "out", "--quiet", "--bodies", "random") == 0
     assert [item["meta"]["index"] for item in GarmentDataset(tmp_path / "out", fields="meta")] == [1, 3]
     assert run("convert", published, tmp_path / "out", "--quiet") == 2
-    assert "asked for 6: give the same number, or another folder" in capsys.readouterr().err
+    assert "asked for 6: choose another folder" in capsys.readouterr().err
 
 
 def test_as_many_garments_on_other_bodies_are_another_data_set(

@@ -138,8 +138,8 @@ def _require_same_set(place: Place, asked: Plan) -> None:
     plan.require_same(asked, name)
     if plan.count != asked.count:
         raise ConfigError(
-            f"{name}: a data set of {plan.count} samples, asked for {asked.count}: choose another folder, or of "
-            f"gcd generate --count {plan.count}"
+            f"{name}: a data set of {plan.count} samples, asked for {asked.count}: choose another folder; with gcd "
+            f"generate, --count {plan.count} resumes this one"
         )
 
 

@@ -122,9 +122,10 @@ def moved(requests: Sequence[DrapeRequest], drapes: Sequence[Drape], device: str
     from gcd_dataset.generator.drape.batches import PreparedJob
     from gcd_dataset.generator.drape.drape import drape_on, garment_motion
     from gcd_dataset.generator.drape.moving import Motion
+    from gcd_dataset.generator.drape.outcome import KEEPS_CROSSINGS
 
     frames = [[drape] for drape in drapes]
-    moving = [k for k, request in enumerate(requests) if request.motion]
+    moving = [k for k, own in enumerate(drapes) if requests[k].motion and own.outcome in KEEPS_CROSSINGS]
     prepared = [requests[k].prepared or PreparedJob.of(requests[k].job) for k in moving]
     ways = [[requests[k].way or Motion.through(requests[k].job.body, requests[k].motion)] for k in moving]
     for number, drape in drape_on(prepared, [drapes[k] for k in moving], ways, device=device):

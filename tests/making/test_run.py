@@ -217,7 +217,7 @@ def test_a_store_holds_the_bytes_of_a_folder(
     assert not [path for path in (tmp_path / "work").rglob("*") if path.is_file()]
     with pytest.raises(ConfigError, match="seed=0, asked for seed=1"):
         make(url, COUNT, seed=1)
-    with pytest.raises(ConfigError, match="asked for 24: give the same number"):
+    with pytest.raises(ConfigError, match="asked for 24: choose another folder"):
         make(url, COUNT + 1)
 
 
@@ -253,7 +253,7 @@ def test_another_data_set_is_refused(options: dict[str, Any], message: str, copy
 
 
 def test_other_kinds_counts_versions_formats_and_tars_are_refused(copy: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="a data set of 23 samples, asked for 7: give the same number"):
+    with pytest.raises(ConfigError, match="a data set of 23 samples, asked for 7: choose another folder"):
         make(copy, 7)
     with pytest.raises(ConfigError, match="kind='garments', asked for kind='bodies'"):
         generate_people(copy, 3)
