@@ -246,7 +246,7 @@ def recipes_table() -> str:
 
 
 def grades_table() -> str:
-    """The grades of sampled garments, and the outcomes of those that failed."""
+    """Shares of the grades of sampled garments. The grade ``failed`` lists its outcomes."""
     report = read_report("drape_sampled")
     count, clean = report.value("drape.garments"), report.value("drape.grade_clean")
     settled = report.value("drape.settled") / count

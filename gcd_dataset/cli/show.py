@@ -79,8 +79,10 @@ def _show(options: argparse.Namespace) -> int:
     if options.texture and (options.png is None or options.maps):
         raise ConfigError("--texture is for --png without --maps: leave it out")
     if options.sheet is not None:
-        if given or options.truth is not None:
-            raise ConfigError("--sheet shows garments of a DATASET or SPEC: leave out --png, --svg, --html and --truth")
+        if given or options.truth is not None or options.body is not None:
+            raise ConfigError(
+                "--sheet shows garments of a DATASET or SPEC: leave out --png, --svg, --html, --truth and --body"
+            )
         return _sheet(options)
     [*others, last] = options.index or (range(1),)
     if options.where or others or last.stop != last.start + 1:

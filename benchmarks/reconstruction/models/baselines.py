@@ -123,7 +123,7 @@ def solver(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, worke
 
 
 def frozen(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0) -> list[DrapedVertices]:
-    """Each unseen garment as it is in the first frame, while its wearer walks."""
+    """Each unseen garment stays where it is in the first frame."""
     true = (truth_of(unseen, k) for k in range(len(unseen)))
     return [DrapedVertices(np.repeat(places[:1], len(places), axis=0), 0.0) for places in true]
 
