@@ -10,6 +10,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull
 
 from gcd_dataset.generator.body.limbs import UP
 from gcd_dataset.records import Body, BodyPart
@@ -19,6 +20,7 @@ CROSSED = np.array(
 )
 """Row: bit set of the corners above the plane. Entries: the corner cut off, then the others, in section order."""
 PLACE_KEY = np.array([73856093, 19349663, 83492791])  # of points in 1e-6 cm, as one number: sorted many times as fast
+ROUNDING = 1e-9  # cm², of the turn between two sides of a hull
 DIRECTIONS = 48  # widths averaged for a rough girth; the tape at its best level is within 0.01 cm of the best
 
 
@@ -84,9 +86,17 @@ def tape(points: Float[np.ndarray, "n 2"], facing: tuple[float, float], *, over:
 
 
 def _hull_sides(points: np.ndarray) -> Float[np.ndarray, "h 2"]:
-    """The sides of the convex hull as vectors, clockwise: outward normals are to their left."""
+    """The sides of the convex hull as vectors, clockwise: outward normals are to their left.
+
+    By GEOS, three times as fast as Qhull. Of some points GEOS 3.14 returns a polygon that is not convex: then by Qhull.
+    """
     corners = shapely.get_coordinates(shapely.convex_hull(shapely.linestrings(points)))
-    return corners[1:] - corners[:-1]
+    sides = corners[1:] - corners[:-1]
+    (x, y), (u, v) = sides.T, np.concatenate([sides[1:], sides[:1]]).T
+    if (x * v - y * u > ROUNDING).any():
+        corners = points[ConvexHull(points).vertices[::-1]]
+        sides = np.concatenate([corners[1:], corners[:1]]) - corners
+    return sides
 
 
 def contour_length(segments: Float[np.ndarray, "s 2 3"]) -> float:

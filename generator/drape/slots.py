@@ -190,8 +190,8 @@ class Slots:
         if not worlds:
             return
         model = self.solver.model
-        places = np.array([self._places.pop(w) for w in worlds], np.int32)
-        for first, size in places.tolist():
+        places = np.array([(w, *self._places.pop(w)) for w in worlds], np.int32)
+        for _, first, size in places.tolist():
             self._give_back(first, size)
         self._rows["size"][list(worlds)] = 0
         for w in worlds:
@@ -201,8 +201,9 @@ class Slots:
         threads = 1 if model.device == "cpu" else THREADS
         with launch_lock:
             model.worlds.assign(self._rows)
-            inputs = [wp.array(places, dtype=wp.vec2i, device=model.device), threads, self._empty_world]
-            self._launch(kernels.clear_places, (len(places), threads), inputs, [model.cloth, model.face_world])
+            inputs = [wp.array(places, dtype=wp.vec3i, device=model.device), threads, self._empty_world]
+            outputs = [model.cloth, model.face_world, self.solver.state.status]
+            self._launch(kernels.clear_places, (len(places), threads), inputs, outputs)
         self.solver.rebuild_bvh_next()
 
     def _take(self, size: int) -> tuple[int, int] | None:

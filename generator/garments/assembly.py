@@ -94,7 +94,8 @@ def parts(size: Measurements, design: GarmentDesign, mends: frozenset[Mend] = AL
             )
     if meta.wb is not None:
         shirt = design.front if design.opens_band() else None
-        band = waistband(size, design.waistband, meta.wb, rise=rise, shirt=shirt)
+        elastic = meta.upper is None and meta.bottom is not None and meta.bottom.garment.elastic
+        band = waistband(size, design.waistband, meta.wb, rise=rise, shirt=shirt, elastic=elastic)
         found.append(band.labelled(PanelRole.BODY))
     if meta.bottom is not None:
         found.append(bottom(size, design, mends))

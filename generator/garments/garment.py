@@ -199,6 +199,8 @@ class BottomGarment(Garment[D]):
     """The parameter of its section that gathers its top; empty if the top is never gathered."""
     flared: bool = False
     """Whether it is heavy if long or wide, so that it needs a firm band."""
+    elastic: bool = False
+    """Whether its band has elastic for a wearer whose hips do not hold it, see ``waistband``."""
     fullness_parameter: str = ""
     """The parameter of its section for the width of a flared bottom; empty if the width is fixed."""
     cuffs: Callable[[Measurements, D, float], tuple[float, float]] | None = None

@@ -3,7 +3,8 @@
 A panel is drawn folded, as a ring sector from waist to hem, and unfolded by reflections in its folds: so its layers lie
 on each other exactly, and its top is a zigzag, as if folded paper were cut along the waist. Along the top a pleat lies
 in three layers, sewn to each other; the uppermost one is sewn to the waistband. A fitted waistband of most of the
-height from waist to hips is a yoke: the pleats begin at its lower edge.
+height from waist to hips is a yoke: the pleats begin at its lower edge. The cloth of pleats is heavy: the band has
+elastic for wearers whose hips are hardly wider than the waist.
 """
 
 from dataclasses import dataclass
@@ -242,4 +243,5 @@ PLEATED_SKIRT = BottomGarment(
     cut=pleated_skirt,
     length_of=_length,
     description_of=_describe,
+    elastic=True,
 )

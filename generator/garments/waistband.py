@@ -14,6 +14,8 @@ from gcd_dataset.generator.pattern import Component, Interface, Piece, backwards
 from gcd_dataset.records import Closure, Measurements
 
 FRONT, BACK = 20.0, -15.0  # cm: z of front and back before sewing, GarmentCode
+ELASTIC = 0.95  # girth of a band with elastic, as a fraction of a plain band's
+WITHOUT_HIPS = 1.08  # hips over waist below which a plain band may slide off
 
 
 class Waistband(Enum):
@@ -38,15 +40,23 @@ class WaistbandDesign(Design):
 
 
 def waistband(
-    size: Measurements, design: WaistbandDesign, kind: Waistband, *, rise: float, shirt: FrontDesign | None = None
+    size: Measurements,
+    design: WaistbandDesign,
+    kind: Waistband,
+    *,
+    rise: float,
+    shirt: FrontDesign | None = None,
+    elastic: bool = False,
 ) -> Component:
     """A band with its lower edge at ``rise`` (0 hips, 1 waist), or lower if its top would rise above the waist.
 
+    ``elastic``: narrower for a wearer whose hips do not hold it.
     Offers the rings ``top`` and ``bottom``, from the right side; ``top`` from the centre front where ``shirt``, the
     front of the shirt above, opens the band.
     """
     low, height = band_rise(design, rise), design.width * size.hips_line
-    top, bottom = (design.waist * girth_at_rise(size, at) for at in (low + design.width, low))
+    share = design.waist * (ELASTIC if elastic and size.hips < WITHOUT_HIPS * size.waist else 1.0)
+    top, bottom = (share * girth_at_rise(size, at) for at in (low + design.width, low))
     top_back, bottom_back = top * back_share(size, low + design.width), bottom * back_share(size, low)
     across, lower = top - top_back, bottom - bottom_back
     if shirt is None:

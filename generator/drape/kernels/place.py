@@ -3,7 +3,7 @@
 import warp as wp
 
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, USUAL, Bend, Corner, Rows, Spring, entry
-from gcd_dataset.generator.drape.kernels.world import RUNNING, ClothArrays, Contacts, CrossingWatch, SearchState
+from gcd_dataset.generator.drape.kernels.world import DONE, RUNNING, ClothArrays, Contacts, CrossingWatch, SearchState
 
 wp.set_module_options({"enable_backward": False})
 
@@ -225,17 +225,24 @@ def place_worlds(
 
 @wp.kernel
 def clear_places(
-    places: wp.array(dtype=wp.vec2i),
+    places: wp.array(dtype=wp.vec3i),
     threads: int,
     empty_world: int,
     # model out
     cloth: ClothArrays,
     face_world: wp.array(dtype=int),
+    # state out
+    status: wp.array(dtype=int),
 ):
-    """Give places, first vertex and number of vertices each, to a world without a garment."""
+    """Give places, world, first vertex and number of vertices each, to a world without a garment; end their worlds.
+
+    A world that runs would go on with its contacts, on a skin that is freed.
+    """
     place, thread = wp.tid()
-    first = places[place][0]
-    end = first + places[place][1]
+    first = places[place][1]
+    end = first + places[place][2]
+    if thread == 0:
+        status[places[place][0]] = DONE
     for i in range(first + thread, end, threads):
         cloth.vertex_world[i] = empty_world
     for f in range(FACES * first + thread, FACES * end, threads):
