@@ -5,10 +5,11 @@ move with the skin's velocity (see ``kernels.step`` and ``kernels.body_contact``
 straight, and start and stop gently.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Self, cast
 
 import numpy as np
 import warp as wp
@@ -105,6 +106,8 @@ class MovingSkin:
     """Frames that the motion takes."""
     seconds: float
     """Length of a frame [s]."""
+    refit: Callable[[], None]
+    """Refits the mesh, see ``refitting``."""
     gently: bool = True
     """Start and stop gently; otherwise the motion goes on before and after."""
     frame: int = 0
@@ -116,7 +119,7 @@ class MovingSkin:
         inputs = [self.world, self.keys, self._along(self.frame), self._along(self.frame + 1), self.seconds]
         outputs = [self.mesh.points, self.mesh.velocities, cloth, state.search]
         wp.launch(begin_frame, self.keys.shape[1], inputs, outputs, device=self.mesh.device)
-        self.mesh.refit()
+        self.refit()
         self.frame += 1
 
     @property
@@ -132,7 +135,7 @@ class MovingSkin:
     def arrive(self) -> None:
         """Move the mesh to the key where the cloth is: ``advance`` leaves it a frame earlier."""
         wp.copy(self.mesh.points, self.keys[self.key], count=len(self.mesh.points))
-        self.mesh.refit()
+        self.refit()
 
     def undone(self, points: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
         """Points [cm] moved with the trunk from where it is back to the A-pose."""
@@ -143,6 +146,19 @@ class MovingSkin:
         share = min(frame / self.frames, 1.0)
         share = share * share * (3.0 - 2.0 * share) if self.gently else share
         return share * (self.keys.shape[0] - 1)
+
+
+def refitting(mesh: wp.Mesh) -> Callable[[], None]:
+    """A function that refits a mesh, on a GPU by a graph.
+
+    Outside of a graph Warp's native code frees memory that the refit still uses, on the default stream, which does not
+    wait for a ``WorkStream``. Hold ``launch_lock``.
+    """
+    if mesh.device.is_cpu:
+        return cast(Callable[[], None], mesh.refit)
+    with wp.ScopedCapture(device=mesh.device) as capture:
+        mesh.refit()
+    return partial(wp.capture_launch, capture.graph)
 
 
 def own_skin(body: BodyField) -> BodyField:

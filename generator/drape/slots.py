@@ -20,7 +20,7 @@ from gcd_dataset.generator.drape.kernels.moving import begin_motion
 from gcd_dataset.generator.drape.kernels.place import EDGES, FACES, Placement, VertexState
 from gcd_dataset.generator.drape.kernels.world import DONE
 from gcd_dataset.generator.drape.model import ClothModel, ClothState, empty_model
-from gcd_dataset.generator.drape.moving import Motion, MovingSkin, own_skin
+from gcd_dataset.generator.drape.moving import Motion, MovingSkin, own_skin, refitting
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drape.topology import WARP
 from gcd_dataset.generator.mesh import CoarseMesh
@@ -156,7 +156,8 @@ class Slots:
             body = model.bodies[w] = own_skin(shared)
             row = self._rows[w : w + 1]
             frame, first = float(row["frame"][0]), int(row["first"][0])
-            skin = MovingSkin(w, body.mesh, motion, self._keys(motion), math.ceil(motion.seconds / frame), frame)
+            count, refit = math.ceil(motion.seconds / frame), refitting(body.mesh)
+            skin = MovingSkin(w, body.mesh, motion, self._keys(motion), count, frame, refit)
             row["skin"] = self._meshes[w] = body.mesh.id
             self._axes[2 * w : 2 * w + 2] = motion.axes[-1]
             row["lowest"] -= max(motion.drop, 0.0)
