@@ -3,7 +3,7 @@
     python -m benchmarks.run scale --device cuda:0 --workers 15 --count 2000
 
 Garments with pictures, as ``gcd generate --bodies both`` makes them, are written to a temporary folder.
-``garments_per_s`` is timed from the first garment written, when kernels are loaded and all workers busy, to the last.
+``garments_per_s`` is timed from the first garment finished, when kernels are loaded and all workers busy, to the last.
 ``own_per_s``: rate of the draping process alone with unlimited requests, without pictures; ``share``:
 ``garments_per_s`` divided by it and by the number of GPUs; ``gpu_waits``: the share of the timed stretch in which
 nvidia-smi sees no kernel on the first GPU; ``joules``: mean power of that GPU in it over the garments it drapes a
@@ -39,7 +39,7 @@ from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.pipeline import drape_jobs, finish, prepare
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
 from gcd_dataset.generator.recipes import find_recipe
-from gcd_dataset.records import Drape, Outcome
+from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.shards import ShardWriter
 from gcd_dataset.shards.codec import encode_sample
 
@@ -96,30 +96,38 @@ def run(options: argparse.Namespace) -> CaseResult:
 
 
 def written(
-    config: MakeConfig, options: argparse.Namespace, note: Callable[[dict[str, Any]], None], *, untimed: int = 1
+    config: MakeConfig, options: argparse.Namespace, note: Callable[[dict[str, Any]], None], *, ends: int = 1
 ) -> list[Figure]:
-    """Write ``options.count`` garments to shards; the rate after the first ``untimed``, and the GPU's load meanwhile.
+    """Write ``options.count`` garments to shards; their rate, and the GPU's load meanwhile.
 
-    ``note`` is called with the metadata of each garment.
+    The rate is that from the ``ends``-th garment finished to the ``ends``-th last. ``note`` is called with the metadata
+    of each garment.
     """
-    begun, load, devices = 0.0, GpuLoad(), devices_of(config)
+    times, load, devices = list[float](), GpuLoad(), devices_of(config)
     with (
         tempfile.TemporaryDirectory() as folder,
         ShardWriter(Path(folder), seed=options.seed, recipe=recipe_of(config)) as writer,
         ExitStack() as measured,
     ):
-        made = produce(options.seed, range(options.count), config, workers=options.workers, finished=encode_sample)
-        for index, members in enumerate(made):
+        made = produce(options.seed, range(options.count), config, workers=options.workers, finished=_encoded)
+        for index, (members, at) in enumerate(made):
             writer.add(index, members)
-            if index + 1 == untimed:
-                begun, load = time.perf_counter(), measured.enter_context(gpu_load(devices[0]))
+            times.append(at)
+            if not index:
+                load = measured.enter_context(gpu_load(devices[0]))
             note(json.loads(members["meta.json"]))
-        rate = (options.count - untimed) / (time.perf_counter() - begun)
+    first, last = sorted(times)[ends - 1], sorted(times)[-ends]
+    rate = (options.count - 2 * ends + 1) / (last - first)
     figures = [Figure("garments_per_s", rate, "garments")]
     if load.watts:
         figures.append(Figure("gpu_waits", load.idle, "of the time"))
         figures.append(Figure("joules", load.watts * len(devices) / rate, "J a garment"))
     return figures
+
+
+def _encoded(sample: Sample) -> tuple[dict[str, bytes], float]:
+    """The members of a sample, and when they were finished, on a clock that processes share [s]."""
+    return encode_sample(sample), time.monotonic()
 
 
 def _steps(config: MakeConfig, options: argparse.Namespace) -> list[Figure]:

@@ -162,7 +162,7 @@ def drape_on(
         for w in arrived:
             solver.moving[w].arrive()
         moving = wp.clone(solver.state.x)  # the finish is for the drape alone: the cloth moves on as it was
-        drapes = _at_once(collect(solver, [prepared[number_in[w]].job for w in arrived], arrived))
+        drapes = _at_once(collect(solver, [prepared[number_in[w]].job for w in arrived], arrived), device)
         wp.copy(solver.state.x, moving)
         for w, drape in zip(arrived, drapes, strict=True):
             k, has_arrived = number_in[w], solver.moving[w].frame == solver.moving[w].frames
@@ -189,13 +189,14 @@ def garment_motion(
     return replace(motion, vertices=vertices, faces=faces, poses=tuple(poses[: len(kept)]), crossings=counts)
 
 
-def _at_once(work: Resumable[Made]) -> Made:
+def _at_once(work: Resumable[Made], device: str) -> Made:
     """The result of work on a device, waiting for it where it yields."""
     while True:
         try:
             next(work)
         except StopIteration as end:
             return cast(Made, end.value)
+        wp.synchronize_stream(device)
 
 
 def _refused(job: DrapeJob, reason: str) -> Drape:
