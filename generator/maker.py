@@ -196,10 +196,11 @@ class _Pending(Generic[Made]):
         design = prepare(self.seed, index // config.wearers, config, rejects, redraws, under)
         jobs, finished = drape_jobs(design, config), partial(self._finish, index, design)
         maps = config.maps and not under
+        motions = [wearer.motion for wearer in design.dressed if wearer.is_draped]
         if not (self.pictured and design.is_outermost):
-            return DrapeWork(jobs, finished, maps=maps, motion=config.motion)
+            return DrapeWork(jobs, finished, maps=maps, motions=motions)
         under_jobs, views = shown_under(design) if jobs else (), view_requests(design, config)
-        return DrapeWork(jobs, finished, config.picture, views, maps, config.motion, under_jobs)
+        return DrapeWork(jobs, finished, config.picture, views, maps, motions, under_jobs)
 
     def _finish(self, index: int, design: DressedDesign, replies: Sequence[DrapeReply]) -> int | DrapeWork[int]:
         """Finish the requested samples of a design; return the next attempt if a drape failed, or the next garment."""

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from gcd_dataset.captions import caption_text, outfit_captions
 from gcd_dataset.errors import BodyError, ConfigError, DrapeError, MeshError, PatternError, shown
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.body.motion import GAITS
 from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.body.sizes import SizeChart
 from gcd_dataset.generator.captions import captions
@@ -133,6 +134,8 @@ class DressedWearer:
     """Why the garment under this one has no drape to put it on."""
     pose: Pose | None = None
     """The pose to which ``body`` moves under the garment; ``None``: it stays."""
+    motion: tuple[Pose, ...] = ()
+    """The poses through which it moves then, from ``pose``; none: it stays."""
 
     @property
     def obstacle(self) -> FitLabel | None:
@@ -356,7 +359,12 @@ def _dress(
     from gcd_dataset.generator.dressing.sewing_start import sewing_start
     from gcd_dataset.generator.dressing.worn import WornCloth
 
-    if config.poses:
+    if config.motion:
+        from gcd_dataset.generator.standing import counted, with_room
+
+        motion = with_room(config.motion, body) if config.poses in GAITS else config.motion
+        dressed = replace(dressed, pose=counted(motion[0], body), motion=motion)
+    elif config.poses:
         dressed = replace(dressed, pose=_drawn_pose(rng(seed, wearer.index, Stage.POSE), body, config))
     drapes = [(inner.design.dressed[row].box_mesh, inner.replies[row].drape) for inner in under]
     if failed := [drape for _, drape in drapes if drape.outcome is not Outcome.SETTLED]:
@@ -373,7 +381,7 @@ def _drawn_pose(stream: np.random.Generator, body: Body, config: MakeConfig) -> 
     """The pose of a sample, the same in all attempts."""
     from gcd_dataset.generator.standing import counted, draw_pose
 
-    given = config.motion[:1] or config.given_poses
+    given = config.given_poses
     return counted(given[stream.integers(len(given))], body) if given else draw_pose(stream, body)
 
 

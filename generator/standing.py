@@ -1,5 +1,6 @@
-"""Random standing poses in which a body does not touch itself."""
+"""Poses in which a body does not touch itself: random standing ones, and those of a motion."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -24,6 +25,9 @@ STRIDE, KNEES, STANCE = 12.0, (0.0, 12.0), (1.0, 9.0)
 """Of ``draw_pose`` [degrees]: largest bend of one thigh, the other bending as far back; bend of both knees, and spread
 of both legs. The feet turn back, so that the soles stay level."""
 DRAWS = 20
+SAMPLED = 6  # every how many poses of a motion are tried
+SPREADS = {"upper_arm": (4.0, 28.0), "thigh": (2.0, 8.0)}
+"""Of ``with_room``: step and most of the further spread [degrees]."""
 
 
 def draw_pose(rng: np.random.Generator, body: Body) -> Pose:
@@ -51,6 +55,37 @@ def _drawn(rng: np.random.Generator) -> dict[str, Any]:
         drawn |= {f"{side}thigh": (ahead + knees, stance, 0.0), f"{side}shin": (-2 * knees, 0.0, 0.0)}
         drawn |= {f"{side}foot": (knees - ahead, -stance, 0.0)}
     return drawn
+
+
+def with_room(poses: Sequence[Pose], body: Body) -> tuple[Pose, ...]:
+    """The poses of a motion with arms, then legs, spread further all along it, until the skin does not touch itself.
+
+    Arm and trunk get the room of ``draw_pose``. Feet turn back by as much as thighs spread.
+    """
+    room = min(ARM_ROOM, arm_clearance(body))
+    given = tuple(poses)
+    for bone, (step, most) in SPREADS.items():
+        spread, extra = given, 0.0
+        while extra < most and _touches(spread, body, bone, room):
+            extra += step
+            spread = tuple(_spread(pose, bone, extra) for pose in given)
+        given = spread
+    return given
+
+
+def _touches(poses: Sequence[Pose], body: Body, bone: str, room: float) -> bool:
+    """Whether an arm has less than ``room`` [cm] in one of the poses, or the skin crosses itself."""
+    posed = (pose_body(body, pose) for pose in poses[::SAMPLED])
+    return any(arm_clearance(each) < room if bone == "upper_arm" else skin_crossings(each) for each in posed)
+
+
+def _spread(pose: Pose, bone: str, extra: float) -> Pose:
+    """The pose with a bone of both sides spread by further degrees."""
+    turns = {name: np.degrees(turn) for name, turn in pose.turns.items()}
+    for side in ("left_", "right_"):
+        for name, by in ((f"{side}{bone}", extra), *([(f"{side}foot", -extra)] if bone == "thigh" else [])):
+            turns[name] = turns.get(name, np.zeros(3)) + [0.0, by, 0.0]
+    return pose_of(turns, pose.name)
 
 
 def counted(pose: Pose, body: Body) -> Pose:

@@ -165,8 +165,8 @@ class DrapeWork(Generic[Made]):
     """The drawn views of each job; empty for none."""
     maps: bool = False
     """Whether to compute the maps of the drapes."""
-    motion: tuple[Pose, ...] = ()
-    """See ``DrapeRequest.motion``."""
+    motions: Sequence[tuple[Pose, ...]] = ()
+    """``DrapeRequest.motion`` of each job; empty for none."""
     under: Sequence[tuple[WornGarment, ...]] = ()
     """The garments under each job, for its pictures; empty for none."""
 
@@ -256,9 +256,10 @@ class _Dispatcher:
             self._job_of[self._next_number] = task, number
             views = task.work.views[number] if task.work.views else None
             under = task.work.under[number] if task.work.under else ()
+            motion = task.work.motions[number] if task.work.motions else ()
             work = task.work
             self._draper.send(
-                DrapeRequest(self._next_number, job, work.picture, retry, views, work.maps, work.motion, under)
+                DrapeRequest(self._next_number, job, work.picture, retry, views, work.maps, motion, under)
             )
             self._next_number += 1
         self._finish(task)
