@@ -19,6 +19,7 @@ LEFT_ARM, RIGHT_ARM = wp.constant(1), wp.constant(2)  # columns of ``ClothArrays
 FIELD_ERROR = 0.5  # cm, of the field beside worn cloth
 OUTSIDE_CLOTH = 0.3  # cm: where the field is larger, points lie outside all worn cloth
 DEEPEST = 1.5  # cm: the inside of a long edge that is deeper in a skin that moves is left to its ends
+FASTEST = 500.0  # cm/s, of skin that moves: a foot in a brisk walk
 MIDDLE_SHARE = 0.5  # share of ``body_gap`` that the inside of a long edge keeps
 
 
@@ -37,14 +38,26 @@ def skin_distance(skin: wp.uint64, x: wp.vec3, reach: float) -> wp.vec4:
 
 
 @wp.func
-def skin_velocity(world: World, x: wp.vec3) -> wp.vec3:
-    """Velocity of the skin nearest to ``x`` [cm/s]; zero far from the skin, and of one that stands still."""
+def skin_velocity(world: World, x: wp.vec3, lag: float, last: wp.vec3) -> wp.vec3:
+    """Velocity of the skin nearest to ``x`` [cm/s]; zero far from the skin, and of one that stands still.
+
+    ``lag``: time since the skin was where its mesh is [s]. Nearest to ``x`` is what is nearest on the mesh to where
+    ``x`` was in the frame of that skin: found in two steps, from the ``last`` velocity.
+    """
     if world.skin == wp.uint64(0):
         return wp.vec3(0.0)
-    near = wp.mesh_query_point_no_sign(world.skin, x, BAND)
-    if not near.result:
+    velocity = wp.vec3(last)
+    away = wp.vec3(0.0)
+    for _step in range(2):
+        at = x - lag * velocity
+        near = wp.mesh_query_point_no_sign(world.skin, at, BAND + lag * FASTEST)
+        if not near.result:
+            return wp.vec3(0.0)
+        velocity = wp.mesh_eval_velocity(world.skin, near.face, near.u, near.v)
+        away = x - lag * velocity - wp.mesh_eval_position(world.skin, near.face, near.u, near.v)
+    if wp.length_sq(away) > BAND * BAND:
         return wp.vec3(0.0)
-    return wp.mesh_eval_velocity(world.skin, near.face, near.u, near.v)
+    return velocity
 
 
 @wp.func

@@ -115,10 +115,11 @@ def find_near_vertices(
     x: wp.array(dtype=wp.vec3),
     newest: wp.array(dtype=int),
     older: wp.array(dtype=int),
+    # state in and out
+    velocity: wp.array(dtype=wp.vec3),
     # state out
     x_searched: wp.array(dtype=wp.vec3),
     skin: wp.array(dtype=wp.vec4),
-    velocity: wp.array(dtype=wp.vec3),
     beside: wp.array(dtype=int),
     contacts: Contacts,
 ):
@@ -134,7 +135,7 @@ def find_near_vertices(
     p = x[i]
     if thread == 0:
         x_searched[i] = p
-        velocity[i] = skin_velocity(world, p)
+        velocity[i] = skin_velocity(world, p, cloth.skin_lag[w], velocity[i])
         skin[i] = find_skin(i, p - cloth.skin_lag[w] * velocity[i], world, cloth)
     own = cell_of(p, world.near)
     for neighbour in range(OWN_CELL + thread, 27, threads):

@@ -79,11 +79,10 @@ def step(
     world = worlds[w]
     before = x[i]
     elastic = elastic_force(i, sewn_share(world, time[w]), rows, ahead_in)
-    if world.skin != wp.uint64(0):  # drag on the motion relative to the skin: it is no air
+    along = wp.vec3(0.0)
+    if world.skin != wp.uint64(0):  # drag on, and limit of, the motion relative to the skin: it is no air
         along = cloth.skin_velocity[i]
-        velocity = along + accelerate(i, world, time[w], cloth, v[i] - along, elastic)
-    else:
-        velocity = accelerate(i, world, time[w], cloth, v[i], elastic)
+    velocity = along + accelerate(i, world, time[w], cloth, v[i] - along, elastic)
     moved = wp.vec3(0.0)
     pressure = float(0.0)
     if search.listed[i] != 0:
@@ -96,7 +95,7 @@ def step(
     skin = search.skin[i]
     carried = wp.vec3(0.0)
     if world.skin != wp.uint64(0):  # the plane that stands for the skin moves with it
-        carried = world.dt * cloth.skin_velocity[i]
+        carried = world.dt * along
         skin[3] -= carried[0] * skin[0] + carried[1] * skin[1] + carried[2] * skin[2]
         search.skin[i] = skin
         if i == world.first:
@@ -107,7 +106,7 @@ def step(
         friction = skin_friction(world, held[w], cloth.keeper[i] != wp.uint8(0))
         moved += keep_off_body(here + moved, before + carried, pressure, friction, world, skin, search.x[i])
     here += moved
-    velocity = limit_speed(velocity + moved / world.dt, world.max_speed)
+    velocity = along + limit_speed(velocity + moved / world.dt - along, world.max_speed)
     x[i] = here
     v[i] = velocity
     ahead_out[i] = here + (LOOK_AHEAD * world.dt) * velocity

@@ -61,6 +61,19 @@ def test_a_table_carries_its_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
     assert slots.solver.body_crossings()[0] == slots.solver.body_through()[0] == 0
 
 
+def test_fast_skin_takes_its_cloth_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Like a shin in a walk, the table moves up by more than the reach of the search in a frame."""
+    monkeypatch.setattr(moving_module, "SPEED", 400.0)
+    slots = slots_of(on_a_table(SHEET))
+    step(slots, 30)
+    before = cloth(slots, 0)
+    by = np.array([0.0, 200.0, 0.0])
+    slots.move(0, Motion.of([table(), shifted(table(), by)]))
+    step(slots, slots.solver.moving[0].frames + 5)
+    assert (cloth(slots, 0) - before)[:, 1].min() > 199.0
+    assert slots.solver.body_crossings()[0] == slots.solver.body_through()[0] == 0
+
+
 def test_equal_bodies_move_on_their_own() -> None:
     """Equal bodies move two ways in a batch, and a third stays: each garment is as it is alone."""
     job = on_a_ball(7)
