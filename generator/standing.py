@@ -60,9 +60,10 @@ def _drawn(rng: np.random.Generator) -> dict[str, Any]:
 def with_room(poses: Sequence[Pose], body: Body) -> tuple[Pose, ...]:
     """The poses of a motion with arms, then legs, spread further all along it, until the skin does not touch itself.
 
-    Arm and trunk get the room of ``draw_pose``. Feet turn back by as much as thighs spread.
+    Arm and trunk get the room of ``draw_pose``. Feet turn back by as much as thighs spread. Raises ``BodyError`` as
+    ``pose_body`` does.
     """
-    room = min(ARM_ROOM, arm_clearance(body))
+    room = min(ARM_ROOM, arm_clearance(pose_body(body, named_pose("a-pose"))))
     given = tuple(poses)
     for bone, (step, most) in SPREADS.items():
         spread, extra = given, 0.0

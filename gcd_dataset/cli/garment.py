@@ -254,10 +254,13 @@ def _motion_of(options: argparse.Namespace, body: "Body") -> "list[Pose] | None"
         raise ConfigError("--maps and --outfit are for a body at rest, --outfit in the A-pose: leave out --motion")
     if options.pose is not None:
         raise ConfigError("--motion begins in a pose of its own: leave --pose out")
-    from gcd_dataset.generator.body import named_motion, pose_body
+    from gcd_dataset.generator.body import GAITS, named_motion, pose_body
     from gcd_dataset.generator.drape.self_contact import skin_crossings
+    from gcd_dataset.generator.standing import with_room
 
     poses = named_motion(options.motion, fps=options.fps or FPS, body=body)
+    if options.motion in GAITS and body.posed is None:
+        poses = [*with_room(poses, body)]
     if cut := sum(skin_crossings(pose_body(body, pose)) > 0 for pose in poses):
         told = f"the body cuts itself in {cut} of {len(poses)} frames"
         print(f"gcd {options.verb}: {options.motion}: {told}", file=sys.stderr)

@@ -1,6 +1,6 @@
 """The patterns of a recipe, made without draping, and their hashes. For a new recipe run
 
-    python -m gcd_dataset.generator.recipes.hashing standard-1k
+    python -m gcd_dataset.generator.recipes.hashing standard-1k --workers 2
 
 and write the printed lines into it. A core makes 15 patterns a second; the line of the first ten comes at once.
 """
@@ -8,12 +8,16 @@ and write the printed lines into it. A core makes 15 patterns a second; the line
 import argparse
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 
 from gcd_dataset.generator.pipeline import DrapedDesign, DressedDesign, prepare
 from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.tensors import PatternTensor, encode_pattern
+from gcd_dataset.workers import parallel_map
+
+PART = 100  # designs that a process hashes at a time
 
 
 def made_patterns(recipe: Recipe, designs: Iterable[int]) -> Iterator[tuple[int, *tuple[PatternTensor, ...]]]:
@@ -34,15 +38,26 @@ def made_patterns(recipe: Recipe, designs: Iterable[int]) -> Iterator[tuple[int,
             yield wearers[0].index, *(encode_pattern(wearer.pattern) for wearer in wearers)
 
 
+def hash_of(recipe: Recipe, designs: range) -> PatternHash:
+    """The hash of the patterns of the given designs."""
+    return PatternHash.of(made_patterns(recipe, designs))
+
+
 def main() -> None:
     """Print the hashes of the first ten and of all patterns of a recipe."""
     parser = argparse.ArgumentParser(description="the hashes of the first ten and of all patterns of a recipe")
     parser.add_argument("recipe", help="name of a recipe, or path of a TOML file")
-    recipe = find_recipe(parser.parse_args().recipe)
-    made = made_patterns(recipe, range(recipe.designs))
-    first = PatternHash.of(islice(made, 10))
+    parser.add_argument("--designs", type=int, help="hash the patterns of the first designs alone")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    options = parser.parse_args()
+    recipe = find_recipe(options.recipe)
+    designs = range(recipe.designs)[: options.designs]
+    first = PatternHash.of(islice(made_patterns(recipe, designs), 10))
     print(f'first_ten = "{first.text}"', flush=True)
-    print(f'patterns = "{(first + PatternHash.of(made)).text}"')
+    parts, found = (designs[k : k + PART] for k in designs[::PART]), PatternHash()
+    for part in parallel_map(partial(hash_of, recipe), parts, options.workers):
+        found += part
+    print(f'patterns = "{found.text}"')
 
 
 if __name__ == "__main__":

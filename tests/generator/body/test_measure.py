@@ -35,6 +35,13 @@ def test_measures_do_not_depend_on_where_the_body_stands() -> None:
     assert values(measure(raised)) == pytest.approx(values(measure(body)), abs=1e-6)
 
 
+def test_a_tape_is_tight_where_geos_makes_no_convex_hull() -> None:
+    """Of the back of this body GEOS 3.14 returns all points as the hull: a back 2 metres long."""
+    size = measure(build_body(draw_shape(rng(0, 64837, Stage.BODY, 0))))
+    assert size.waist_line == pytest.approx(size.height * 0.22, rel=0.1)
+    assert size.require_parts() == size
+
+
 def test_sites_hold_all_faces_that_sections_cut() -> None:
     """Measures of unusual bodies are the same with the whole trunk as the site."""
     arms = [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value, BodyPart.HANDS.value]

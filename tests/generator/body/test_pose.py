@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator import standing
-from gcd_dataset.generator.body import build_body, draw_shape, named_pose, named_shape, pose_body
+from gcd_dataset.generator.body import build_body, draw_shape, named_pose, named_shape, pose_body, walk
 from gcd_dataset.generator.body.pose import POSES, TREE, TRUNK, pose_of, read_poses, rig, side_and_kind
 from gcd_dataset.generator.body.shape import ARM_ROOM, arm_clearance
 from gcd_dataset.generator.drape.self_contact import skin_crossings
-from gcd_dataset.generator.standing import draw_pose
+from gcd_dataset.generator.standing import draw_pose, with_room
 from gcd_dataset.records import BONES, Body, Pose
 from gcd_dataset.seeding import Stage, rng
 
@@ -140,6 +140,17 @@ def test_drawn_poses_leave_room_for_cloth_below_the_armpits() -> None:
         assert arm_clearance(pose_body(body, draw_pose(rng(0, number, Stage.POSE), body))) >= ARM_ROOM
     raised = {"left_upper_arm": (0, 60, 0), "left_shoulder": (0, 10, 0), "right_upper_arm": (0, -25, 0)}
     assert arm_clearance(pose_body(body, pose_of(raised, "one arm up"))) < 10.0
+
+
+def test_gaits_leave_room_on_any_body(woman: Body) -> None:
+    """Arms, thighs or both spread further where they would touch; a body with room walks as the gait says."""
+    assert with_room(walk()[:40], woman) == tuple(walk()[:40])
+    for number in (1, 2):
+        body, poses = build_body(draw_shape(rng(11, number, Stage.BODY))), walk()
+        assert any(skin_crossings(pose_body(body, pose)) for pose in poses[::8])
+        roomy = [pose_body(body, pose) for pose in with_room(poses, body)[::8]]
+        assert [skin_crossings(posed) for posed in roomy] == [0] * len(roomy)
+        assert min(arm_clearance(posed) for posed in roomy) > 0.9 * min(ARM_ROOM, arm_clearance(body))
 
 
 def test_a_body_that_always_touches_itself_gets_a_pose_of_that_name(
