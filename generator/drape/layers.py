@@ -41,14 +41,16 @@ def layers_of(garments: Sequence[WornCloth], body: Body, *, device: str = "auto"
     with launch_lock:
         skins = _limbs(body, device)
         meshes = [_mesh(cloth.vertices, cloth.faces, device) for cloth in garments]
+        edges = [
+            wp.array(mesh_edges(cloth.faces).ends.astype(np.int32), dtype=wp.vec2i, device=device) for cloth in garments
+        ]
         limbs = wp.array([mesh.id for mesh in skins], dtype=wp.uint64, device=device)
         pairs, counts = [(inner, outer) for outer in range(len(garments)) for inner in range(outer)], []
         for inner, outer in pairs:
             crossings = wp.zeros(1, dtype=int, device=device)
             for one, other in ((inner, outer), (outer, inner)):
-                edges = wp.array(mesh_edges(garments[one].faces).ends.astype(np.int32), dtype=wp.vec2i, device=device)
-                inputs = [meshes[one].points, edges, meshes[other].id]
-                wp.launch(kernels.count_edges_through, len(edges), inputs, [crossings], device=device)
+                inputs = [meshes[one].points, edges[one], meshes[other].id]
+                wp.launch(kernels.count_edges_through, len(edges[one]), inputs, [crossings], device=device)
             at, of = meshes[inner].points, wp.array(table[garments[inner].parts], dtype=int, device=device)
             covered, wrong = (wp.zeros(len(at), dtype=int, device=device) for _ in range(2))
             wp.launch(kernels.order_layers, len(at), [limbs, of, at, meshes[outer].id], [covered, wrong], device=device)

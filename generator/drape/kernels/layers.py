@@ -8,7 +8,7 @@ wp.set_module_options({"enable_backward": False})
 
 FURTHEST = wp.constant(1.0e3)  # cm
 OUTWARD = wp.constant(30.0)  # cm: an outer garment further away than this does not cover a vertex
-DEEP = 1.0  # cm: cloth is less deep under the skin; a point further behind the skin is beyond the limb's end
+DEEP = wp.constant(1.0)  # cm: cloth is less deep under the skin; a point further behind the skin is beyond the limb's end
 TOUCHING = 1.0e-4  # cm: below this distance the normal of the skin replaces the direction from the skin
 ARMS = wp.constant(2)  # the skins of both arms, the first rows of ``skins``, and then that of trunk and legs
 
@@ -42,16 +42,18 @@ def from_skin(skin: wp.uint64, p: wp.vec3) -> wp.vec4:
 
 
 @wp.func
-def nearest_limb(skins: wp.array(dtype=wp.uint64), p: wp.vec3) -> int:
-    """The row of ``skins`` of the arm nearest to ``p``, or ``ARMS`` where trunk or legs are nearer."""
-    nearest = int(0)
-    least = float(FURTHEST)
-    for limb in range(ARMS + 1):
-        near = wp.mesh_query_point_no_sign(skins[limb], p, least)
-        if near.result:
-            least = wp.length(p - wp.mesh_eval_position(skins[limb], near.face, near.u, near.v))
-            nearest = limb
-    return nearest
+def is_nearest(limb: int, skins: wp.array(dtype=wp.uint64), p: wp.vec3, reach: float) -> bool:
+    """Whether no other of the first skins is nearer to ``p`` than that of ``limb``, at most ``reach`` away [cm]."""
+    least = reach
+    own = wp.mesh_query_point_no_sign(skins[limb], p, reach)
+    if own.result:
+        least = wp.length(p - wp.mesh_eval_position(skins[limb], own.face, own.u, own.v))
+    for other in range(ARMS + 1):
+        if other != limb:
+            near = wp.mesh_query_point_no_sign(skins[other], p, least)
+            if near.result:
+                return False
+    return True
 
 
 @wp.kernel
@@ -75,10 +77,10 @@ def order_layers(
     outward = wp.vec3(skin[0], skin[1], skin[2])
     limb = wp.min(limbs[i], ARMS)
     behind = wp.mesh_query_ray(outer, p, -outward, skin[3])
-    if behind.result and nearest_limb(skins, p - behind.t * outward) == limb:
+    if behind.result and is_nearest(limb, skins, p - behind.t * outward, skin[3] + DEEP):
         covered[i] = 1
         wrong[i] = 1
         return
     before = wp.mesh_query_ray(outer, p, outward, OUTWARD)
-    if before.result and nearest_limb(skins, p + before.t * outward) == limb:
+    if before.result and is_nearest(limb, skins, p + before.t * outward, skin[3] + before.t + DEEP):
         covered[i] = 1
