@@ -57,7 +57,7 @@ def main() -> None:
     parts, found = (designs[k : k + PART] for k in designs[::PART]), PatternHash()
     for part in parallel_map(partial(hash_of, recipe), parts, options.workers):
         found += part
-    print(f'patterns = "{found.text}"')
+    print(f'{"patterns" if options.designs is None else f"# of {len(designs)} designs"} = "{found.text}"')
 
 
 if __name__ == "__main__":

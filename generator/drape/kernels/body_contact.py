@@ -41,16 +41,16 @@ def skin_distance(skin: wp.uint64, x: wp.vec3, reach: float) -> wp.vec4:
 def skin_velocity(world: World, x: wp.vec3, lag: float, last: wp.vec3) -> wp.vec3:
     """Velocity of the skin nearest to ``x`` [cm/s]; zero far from the skin, and of one that stands still.
 
-    ``lag``: time since the skin was where its mesh is [s]. Nearest to ``x`` is what is nearest on the mesh to where
-    ``x`` was in the frame of that skin: found in two steps, from the ``last`` velocity.
+    ``lag``: time since the skin was where its mesh is [s], more than a frame for one that has arrived. Nearest to ``x``
+    is what is nearest on the mesh to where ``x`` was in the frame of that skin: found in two steps, from the ``last``
+    velocity.
     """
-    if world.skin == wp.uint64(0):
+    if world.skin == wp.uint64(0) or lag > 1.5 * world.frame:
         return wp.vec3(0.0)
     velocity = wp.vec3(last)
     away = wp.vec3(0.0)
     for _step in range(2):
-        at = x - lag * velocity
-        near = wp.mesh_query_point_no_sign(world.skin, at, BAND + lag * FASTEST)
+        near = wp.mesh_query_point_no_sign(world.skin, x - lag * velocity, BAND + lag * FASTEST)
         if not near.result:
             return wp.vec3(0.0)
         velocity = wp.mesh_eval_velocity(world.skin, near.face, near.u, near.v)

@@ -8,7 +8,7 @@ wp.set_module_options({"enable_backward": False})
 
 FURTHEST = wp.constant(1.0e3)  # cm
 OUTWARD = wp.constant(30.0)  # cm: an outer garment further away than this does not cover a vertex
-DEEP = wp.constant(1.0)  # cm: cloth is less deep under the skin; a point further behind the skin is beyond the limb's end
+DEEP = wp.constant(1.0)  # cm: cloth is less deep under the skin; deeper points lie beyond the limb's end
 TOUCHING = 1.0e-4  # cm: below this distance the normal of the skin replaces the direction from the skin
 ARMS = wp.constant(2)  # the skins of both arms, the first rows of ``skins``, and then that of trunk and legs
 
