@@ -48,29 +48,21 @@ def cloth(slots: Slots, w: int) -> Float[np.ndarray, "v 3"]:
     return np.array(slots.solver.state.x.numpy()[slots.solver.model.vertices[w]])
 
 
-def test_a_table_carries_its_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sideways by friction against the moving skin; up and down as well, and without a crossing."""
-    monkeypatch.setattr(moving_module, "SPEED", 12.0)
+@pytest.mark.parametrize(("speed", "way"), [(12.0, (12.0, 3.0, 0.0)), (400.0, (0.0, 200.0, 0.0))])
+def test_a_table_carries_its_cloth(speed: float, way: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sideways by friction against the moving skin; up and down as well, and without a crossing.
+
+    Also as fast as a shin in a walk, by more than the reach of the search in a frame.
+    """
+    monkeypatch.setattr(moving_module, "SPEED", speed)
     slots = slots_of(on_a_table(SHEET))
     step(slots, 30)
-    before = cloth(slots, 0)
-    by = np.array([12.0, 3.0, 0.0])
+    before, by = cloth(slots, 0), np.array(way)
     slots.move(0, Motion.of([table(), shifted(table(), by)]))
     step(slots, slots.solver.moving[0].frames + 5)
-    np.testing.assert_allclose((cloth(slots, 0) - before).mean(axis=0), by, atol=0.3)
-    assert slots.solver.body_crossings()[0] == slots.solver.body_through()[0] == 0
-
-
-def test_fast_skin_takes_its_cloth_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Like a shin in a walk, the table moves up by more than the reach of the search in a frame."""
-    monkeypatch.setattr(moving_module, "SPEED", 400.0)
-    slots = slots_of(on_a_table(SHEET))
-    step(slots, 30)
-    before = cloth(slots, 0)
-    by = np.array([0.0, 200.0, 0.0])
-    slots.move(0, Motion.of([table(), shifted(table(), by)]))
-    step(slots, slots.solver.moving[0].frames + 5)
-    assert (cloth(slots, 0) - before)[:, 1].min() > 199.0
+    x, y, z = (cloth(slots, 0) - before).mean(axis=0) - by
+    assert (x, z) == pytest.approx((0.0, 0.0), abs=0.3)
+    assert -0.3 < y < 0.3 + 10.0 * (speed > 100.0)  # fast cloth flies on
     assert slots.solver.body_crossings()[0] == slots.solver.body_through()[0] == 0
 
 
