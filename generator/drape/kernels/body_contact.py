@@ -19,6 +19,7 @@ LEFT_ARM, RIGHT_ARM = wp.constant(1), wp.constant(2)  # columns of ``ClothArrays
 FIELD_ERROR = 0.5  # cm, of the field beside worn cloth
 OUTSIDE_CLOTH = 0.3  # cm: where the field is larger, points lie outside all worn cloth
 DEEPEST = 1.5  # cm: the inside of a long edge that is deeper in a skin that moves is left to its ends
+SAME_PLACE = wp.constant(0.02)  # cm
 FASTEST = 500.0  # cm/s, of skin that moves: a foot in a brisk walk
 MIDDLE_SHARE = 0.5  # share of ``body_gap`` that the inside of a long edge keeps
 
@@ -29,6 +30,12 @@ def skin_distance(skin: wp.uint64, x: wp.vec3, reach: float) -> wp.vec4:
     near = wp.mesh_query_point_sign_normal(skin, x, reach)
     if not near.result:
         return wp.vec4(0.0, 1.0, 0.0, reach)
+    return distance_from(skin, near, x)
+
+
+@wp.func
+def distance_from(skin: wp.uint64, near: wp.MeshQueryPoint, x: wp.vec3) -> wp.vec4:
+    """Unit gradient and value of the signed distance at ``x`` [cm], whose nearest point of a skin is ``near``."""
     away = near.sign * (x - wp.mesh_eval_position(skin, near.face, near.u, near.v))
     distance = wp.length(away)
     normal = wp.mesh_eval_face_normal(skin, near.face)
@@ -38,26 +45,30 @@ def skin_distance(skin: wp.uint64, x: wp.vec3, reach: float) -> wp.vec4:
 
 
 @wp.func
-def skin_velocity(world: World, x: wp.vec3, lag: float, last: wp.vec3) -> wp.vec3:
-    """Velocity of the skin nearest to ``x`` [cm/s]; zero far from the skin, and of one that stands still.
+def moving_skin(world: World, x: wp.vec3, lag: float, last: wp.vec3):
+    """The skin nearest to ``x``: unit gradient and value of its signed distance [cm], velocity [cm/s] and body part.
 
-    ``lag``: time since the skin was where its mesh is [s], more than a frame for one that has arrived. Nearest to ``x``
-    is what is nearest on the mesh to where ``x`` was in the frame of that skin: found in two steps, from the ``last``
-    velocity.
+    ``lag``: time since the skin was where its mesh is [s], more than a frame for one that has arrived and stands still.
+    Nearest to ``x`` is what is nearest on the mesh to where ``x`` was in the frame of that skin: found from the ``last``
+    velocity, and once more where the skin has another one. Velocity zero, and ``BAND``, further than that from it.
     """
-    if world.skin == wp.uint64(0) or lag > 1.5 * world.frame:
-        return wp.vec3(0.0)
-    velocity = wp.vec3(last)
-    away = wp.vec3(0.0)
-    for _step in range(2):
-        near = wp.mesh_query_point_no_sign(world.skin, x - lag * velocity, BAND + lag * FASTEST)
-        if not near.result:
-            return wp.vec3(0.0)
-        velocity = wp.mesh_eval_velocity(world.skin, near.face, near.u, near.v)
-        away = x - lag * velocity - wp.mesh_eval_position(world.skin, near.face, near.u, near.v)
-    if wp.length_sq(away) > BAND * BAND:
-        return wp.vec3(0.0)
-    return velocity
+    moves = wp.where(lag > 1.5 * world.frame, 0.0, 1.0)
+    behind = moves * lag
+    velocity = moves * last
+    there = x - behind * velocity
+    near = wp.mesh_query_point_sign_normal(world.skin, there, BAND + behind * FASTEST)
+    if near.result:
+        velocity = moves * wp.mesh_eval_velocity(world.skin, near.face, near.u, near.v)
+        if wp.length(x - behind * velocity - there) > SAME_PLACE:
+            there = x - behind * velocity
+            near = wp.mesh_query_point_sign_normal(world.skin, there, BAND + behind * FASTEST)
+    if near.result:
+        velocity = moves * wp.mesh_eval_velocity(world.skin, near.face, near.u, near.v)
+        skin = distance_from(world.skin, near, there)
+        skin[3] += wp.dot(wp.vec3(skin[0], skin[1], skin[2]), x - behind * velocity - there)
+        if skin[3] <= BAND:
+            return skin, velocity, int(world.face_parts[near.face]) & (ON_CLOTH - 1)
+    return wp.vec4(0.0, 1.0, 0.0, BAND), wp.vec3(0.0), 0
 
 
 @wp.func
@@ -207,13 +218,13 @@ def push_long_edge(
 
 
 @wp.func
-def find_skin(i: int, p: wp.vec3, world: World, cloth: ClothArrays) -> wp.vec4:
+def find_skin(i: int, p: wp.vec3, near: wp.vec4, part: int, world: World, cloth: ClothArrays) -> wp.vec4:
     """The plane that stands for the skin at vertex ``i`` until the next search: normal, and distance of ``p`` [cm].
 
-    A vertex moves by about ``World.travel`` = 0.1 cm between two searches, and a skin of radius R departs from the
-    plane by travel² / 2 R: 0.005 cm on a finger.
+    ``near``: the signed distance at ``p``. ``part``: the body part nearest to it; -1: that of its voxel. A vertex moves
+    by about ``World.travel`` = 0.1 cm between two searches, and a skin of radius R departs from the plane by
+    travel² / 2 R: 0.005 cm on a finger.
     """
-    near = sample_field(world, p)
     most = world.sleeve
     if cloth.own_part[i] != LEFT_ARM and cloth.own_part[i] != RIGHT_ARM:
         most = wp.where(p[1] < world.tucked_below, world.tuck, wp.inf)
@@ -221,7 +232,9 @@ def find_skin(i: int, p: wp.vec3, world: World, cloth: ClothArrays) -> wp.vec4:
         return tuck_in(i, p, near, most, world, cloth)
     if near[3] >= world.clear:
         return near
-    voxel = voxel_at(world, p)
+    voxel = part
+    if part < 0:
+        voxel = voxel_at(world, p)
     if is_ignored(cloth.ignored_parts[i], voxel & (ON_CLOTH - 1)):
         return wp.vec4(near[0], near[1], near[2], FAR)
     if (voxel & ON_CLOTH) != 0 and near[3] > -FIELD_ERROR:

@@ -7,7 +7,7 @@ their nearest vertices lists the contact.
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.body_contact import FAR, find_skin, sample_field, skin_velocity
+from gcd_dataset.generator.drape.kernels.body_contact import FAR, find_skin, moving_skin, sample_field
 from gcd_dataset.generator.drape.kernels.geometry import (
     closest_on_edges,
     closest_on_triangle,
@@ -135,8 +135,12 @@ def find_near_vertices(
     p = x[i]
     if thread == 0:
         x_searched[i] = p
-        velocity[i] = skin_velocity(world, p, cloth.skin_lag[w], velocity[i])
-        skin[i] = find_skin(i, p - cloth.skin_lag[w] * velocity[i], world, cloth)
+        if world.skin == wp.uint64(0):
+            skin[i] = find_skin(i, p, sample_field(world, p), -1, world, cloth)
+        else:
+            near, along, part = moving_skin(world, p, cloth.skin_lag[w], velocity[i])
+            skin[i] = find_skin(i, p - cloth.skin_lag[w] * along, near, part, world, cloth)
+            velocity[i] = along
     own = cell_of(p, world.near)
     for neighbour in range(OWN_CELL + thread, 27, threads):
         cell = own + wp.vec3i(neighbour % 3 - 1, (neighbour // 3) % 3 - 1, neighbour // 9 - 1)
