@@ -32,6 +32,7 @@ GARMENT_BYTES = 120e6  # GPU memory reserved per garment; measured: 100 MB at 1 
 PREPARERS = 4  # threads that prepare jobs for a GPU
 PART = 64  # poses of a part of a motion: 20 MB of keys
 MOVING_ROOM = 2  # factor of the room for contacts of a garment in motion
+UNTANGLING_STEPS = 20  # of a frame in motion; more take longer than the motion itself
 ENDS_MOTION = (Outcome.DIVERGED, Outcome.FELL, Outcome.SLID_OFF, Outcome.OVERFULL)
 MEMORY_SHARE = 0.7  # share of a GPU's free memory that a batch may take
 
@@ -98,9 +99,9 @@ def drape_motion(
 
     The body moves to the first pose as for ``DrapeJob.pose``. Between two poses it moves straight, for the nearest
     number of frames: time steps follow from the mesh, and at a spacing of 4 cm a frame takes 0.04 s. Later drapes have
-    ``frames`` since the first, are ``SETTLED`` though they move, and keep their crossings. A garment that slides off,
-    falls, diverges or has no room for its contacts ends the sequence after its drape. Raises ``BodyError`` for an
-    impossible pose.
+    ``frames`` since the first, and are ``SETTLED`` though they move, with crossings or without: cloth that crosses
+    itself is untangled in the drape, and moves on as it was. A garment that slides off, falls, diverges or has no room
+    for its contacts ends the sequence after its drape. Raises ``BodyError`` for an impossible pose.
     """
     device, numbered = resolve_device(device), iter(poses)
     if (first := next(numbered, None)) is None:
@@ -139,7 +140,8 @@ def drape_on(
     begun = [(k, part) for k, part in firsts.items() if part is not None and len(part.keys) > 1]
     if not begun:
         return
-    device, config = resolve_device(device), replace(config, untangling_steps=0)
+    device = resolve_device(device)
+    config = replace(config, untangling_steps=min(config.untangling_steps, UNTANGLING_STEPS))
     model = build_model(
         [prepared[k].job for k, _ in begun],
         config,

@@ -19,7 +19,7 @@ from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import fell, find_keepers, off_body
 from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.kernels.place import NOT_COUNTED
-from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE
+from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, RUNNING
 from gcd_dataset.generator.drape.solver import CROSSING_COUNTS, SELF_CROSSINGS, Solver
 from gcd_dataset.generator.quality import quantile
 from gcd_dataset.records import Drape, Outcome
@@ -166,7 +166,9 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     # Read ``overfull`` now: the searches below may overflow their lists too. Copies, since they fetch as well.
     fetched = yield from fetch(counts, state.contacts.overfull, state.status, state.frames)
     crossings, overfull, status, frames = map(np.array, fetched)
-    crossing = (crossings > 0) & (status == DONE)
+    in_motion = np.isin(np.arange(model.n_worlds), list(solver.moving))
+    worn = (status == DONE) | ((status == RUNNING) & in_motion)
+    crossing = (crossings > 0) & worn
     if solver.config.untangling_steps and crossing.any():
         yield from untangle(solver, crossing)
     most = np.zeros(model.n_worlds, int)
@@ -180,7 +182,7 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
             results = [*(solver.counted(kernel, every) for kernel in CROSSING_COUNTS), solver.stretches(), state.x]
         self_crossings, body_crossings, body_through, stretches, x = yield from fetch(*results)
         pierced = (body_crossings + body_through > 0) & (body_crossings <= solver.config.max_body_crossings)
-        pierced &= (status == DONE) & (number < most)
+        pierced &= worn & (number < most)
         if not pierced.any():
             break
         chosen = solver.chosen(pierced)

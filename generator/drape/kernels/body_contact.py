@@ -49,8 +49,8 @@ def moving_skin(world: World, x: wp.vec3, lag: float, last: wp.vec3):
     """The skin nearest to ``x``: unit gradient and value of its signed distance [cm], velocity [cm/s] and body part.
 
     ``lag``: time since the skin was where its mesh is [s], more than a frame for one that has arrived and stands still.
-    Nearest to ``x`` is what is nearest on the mesh to where ``x`` was in the frame of that skin: found from the ``last``
-    velocity, and once more where the skin has another one. Velocity zero, and ``BAND``, further than that from it.
+    Nearest to ``x`` is what is nearest on the mesh to where ``x`` was in the frame of that skin: found from the
+    ``last`` velocity, and again where the skin has another one. Further than ``BAND`` off, the velocity is zero.
     """
     moves = wp.where(lag > 1.5 * world.frame, 0.0, 1.0)
     behind = moves * lag

@@ -154,6 +154,17 @@ def test_a_motion_yields_a_drape_for_each_pose() -> None:
     assert list(drape_motion(job, [], device="cpu")) == []
 
 
+def test_cloth_behind_a_bent_knee_does_not_cross_itself() -> None:
+    body, size = neutral()
+    trousers = design_from_dict(
+        {"meta": {"bottom": "Pants", "wb": "StraightWB"}, "pants": {"length": 0.9, "width": 1.3}}
+    )
+    job = DrapeJob(build_box_mesh(draw_garment(size, trousers), spacing=4.0), body, size)
+    bends = [Pose({"left_thigh": (0.15 * k, 0.0, 0.0), "left_shin": (-0.35 * k, 0.0, 0.0)}) for k in range(6)]
+    drapes = list(drape_motion(job, bends, fps=15.0, device="cpu"))
+    assert [drape.self_crossings for drape in drapes] == 6 * [0]
+
+
 def test_garments_in_motion_are_those_of_each_alone() -> None:
     """In a batch, of other cloth and other motions, of which one ends earlier."""
     body, size = neutral()
