@@ -65,6 +65,7 @@ $TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 2.5 
 $TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 8 --checks 2 --compile --out runs/T3-long
 $TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 8 --checks 2 --compile --test-source runs/freesewing --out runs/T3-long
 $TRAIN --model stitches --task T3 --set foreign=0.1 --train 36000 --minutes 8.5 --checks 2 --validate 500 --compile --out runs/T3-kept
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 36000 --minutes 8.5 --checks 2 --validate 500 --compile --seed 1 --out runs/T3-seed1
 $TRAIN --model stitches --task T3 --set foreign=0.1 --train 64 --steps 0 --weights benchmarks/reconstruction/weights/T3.pt --out runs/T3-again
 $TRAIN --model stitches --task T3 --set foreign=0.1 --train 64 --steps 0 --weights benchmarks/reconstruction/weights/T3.pt --test-source runs/freesewing --out runs/T3-again
 $TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --steps 1500 --compile --out runs/families-T3-all
@@ -112,3 +113,5 @@ $TRAIN --model mean_measures --task T7 --train 4000 --out runs/T7-reference-mean
 $TRAIN --model nearest_fit --task T7 --train 4000 --out runs/T7-reference-nearest_fit
 $TRAIN --model fit --task T7 --train 4000 --minutes 2 --compile --out runs/T7
 $TRAIN --model fit --task T7 --train 16000 --minutes 8 --compile --validate 500 --out runs/T7-long
+
+$TRAIN --model motion_residual --task T8 --train 400 --minutes 2.5 --checks 2 --out runs/T8
