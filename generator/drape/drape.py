@@ -32,7 +32,7 @@ GARMENT_BYTES = 120e6  # GPU memory reserved per garment; measured: 100 MB at 1 
 PREPARERS = 4  # threads that prepare jobs for a GPU
 PART = 64  # poses of a part of a motion: 20 MB of keys
 MOVING_ROOM = 2  # factor of the room for contacts of a garment in motion
-UNTANGLING_STEPS = 20  # of a frame in motion; more take longer than the motion itself
+UNTANGLING_STEPS = 20  # most for a frame in motion: all garments of a GPU wait for the one that takes most
 ENDS_MOTION = (Outcome.DIVERGED, Outcome.FELL, Outcome.SLID_OFF, Outcome.OVERFULL)
 MEMORY_SHARE = 0.7  # share of a GPU's free memory that a batch may take
 

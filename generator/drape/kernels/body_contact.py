@@ -19,7 +19,7 @@ LEFT_ARM, RIGHT_ARM = wp.constant(1), wp.constant(2)  # columns of ``ClothArrays
 FIELD_ERROR = 0.5  # cm, of the field beside worn cloth
 OUTSIDE_CLOTH = 0.3  # cm: where the field is larger, points lie outside all worn cloth
 DEEPEST = 1.5  # cm: the inside of a long edge that is deeper in a skin that moves is left to its ends
-SAME_PLACE = wp.constant(0.02)  # cm
+SAME_PLACE = wp.constant(0.02)  # cm between two places with the same nearest skin
 FASTEST = 500.0  # cm/s, of skin that moves: a foot in a brisk walk
 MIDDLE_SHARE = 0.5  # share of ``body_gap`` that the inside of a long edge keeps
 

@@ -136,6 +136,7 @@ def find_near_vertices(
     if thread == 0:
         x_searched[i] = p
         if world.skin == wp.uint64(0):
+            velocity[i] = wp.vec3(0.0)
             skin[i] = find_skin(i, p, sample_field(world, p), -1, world, cloth)
         else:
             near, along, part = moving_skin(world, p, cloth.skin_lag[w], velocity[i])
