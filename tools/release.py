@@ -23,7 +23,7 @@ from tests.hub.server import running_hub
 ROOT = Path(__file__).resolve().parents[1]
 DIST = ROOT / "dist"
 UV = str(Path(sys.executable).parent / "uv")
-PYTHONS = ("3.11", "3.12", "3.13", "3.14")
+PYTHONS = ("3.11", "3.12", "3.13", "3.14", "3.15")
 LARGEST_WHEEL = 8_000_000  # bytes
 DATA = "--count 12 --seed 1 --resolution 9 --picture 64 --device cpu --quiet"
 REPO = "org/rehearsal"
@@ -56,7 +56,7 @@ def rehearse(work: Path) -> None:
     environments = []
     for version in PYTHONS:
         if not (python := interpreter(version)):
-            print(f"Python {version}: not found on PATH, not tried")
+            print(f"Python {version}: not found, not tried")
             continue
         for distribution in (wheel, sdist):
             environment = work / f"{version}-{distribution.suffix[1:]}"
@@ -66,7 +66,7 @@ def rehearse(work: Path) -> None:
                 follow_readme(environment, work / f"{environment.name}-readme")
             environments.append(environment)
     if not environments:
-        raise ReleaseError(f"none of Python {', '.join(PYTHONS)} is on PATH: install one")
+        raise ReleaseError(f"none of Python {', '.join(PYTHONS)} is here: install one")
     with step("data set made, published, downloaded"):
         published = publish(environments[0], work / "hub")
     shutil.copy(published / "croissant.json", DIST)
@@ -95,8 +95,10 @@ def build(work: Path) -> tuple[Path, Path]:
 
 
 def interpreter(version: str) -> str:
-    """Path of a Python of this version; empty without one."""
-    found = subprocess.run([UV, "python", "find", "--system", "--no-python-downloads", version], capture_output=True)
+    """Path of a Python of this version, on PATH or of pyenv, whose shims find chosen versions alone; empty without one."""
+    places = [*map(str, Path.home().glob(".pyenv/versions/*/bin")), os.environ.get("PATH", "")]
+    command = [UV, "python", "find", "--system", "--no-python-downloads", version]
+    found = subprocess.run(command, capture_output=True, env=os.environ | {"PATH": os.pathsep.join(places)})
     return found.stdout.decode().strip() if found.returncode == 0 else ""
 
 
