@@ -95,7 +95,7 @@ def build(work: Path) -> tuple[Path, Path]:
 
 
 def interpreter(version: str) -> str:
-    """Path of a Python of this version, on PATH or of pyenv, whose shims find chosen versions alone; empty without one."""
+    """Path of a Python of this version, on PATH or of pyenv, whose shims find chosen ones alone; empty without one."""
     places = [*map(str, Path.home().glob(".pyenv/versions/*/bin")), os.environ.get("PATH", "")]
     command = [UV, "python", "find", "--system", "--no-python-downloads", version]
     found = subprocess.run(command, capture_output=True, env=os.environ | {"PATH": os.pathsep.join(places)})
