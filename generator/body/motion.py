@@ -68,7 +68,7 @@ def read_motion(path: str | Path, *, fps: float = FPS, body: Body | None = None)
 
     BVH names its joints as CMU does (``Hips``, ``LeftUpLeg``, …) or as ``BONES`` does. Its y axis points up, and its
     rest pose faces z, with straight limbs in any direction; units do not matter. CMU's files begin with a T-pose: the
-    first frame is left out if its root is not rotated, and that of the last frame is.
+    first frame is left out if its root is unrotated while the last frame's root is rotated.
 
     ``body`` of a model file takes all joints of an AMASS file (NPZ) as they are. Other bodies take those of trunk and
     limbs, as if the zero pose were their ``t-pose``; hands keep to the forearm, and the spine has two bones.
