@@ -16,7 +16,7 @@ from tests.extras.guide import ROOT, Block, blocks_of, run
 DOCS = ROOT / "docs"
 SMALLER = {
     "index": {
-        "GeneratedGarments(10_000, seed=0)": "GeneratedGarments(2, seed=0, resolution=9.0, picture=32)",
+        "GeneratedGarments(16, seed=0, resolution=3.0)": "GeneratedGarments(2, seed=0, resolution=9.0, picture=32)",
         "--count 1000 --seed 7 --bodies both": "--count 8 --seed 7 --bodies both --stage mesh --resolution 8",
     },
     "pictures": {
