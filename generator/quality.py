@@ -97,15 +97,18 @@ def _ends(stretches: Float[np.ndarray, "f 2"], outliers: float) -> tuple[float, 
     """The largest and the smallest stretch, without a share of the faces at either end [%]; 1 without faces."""
     if not len(stretches):
         return 1.0, 1.0
-    return quantile(stretches[:, 0], 1.0 - outliers / 100.0), quantile(stretches[:, 1], outliers / 100.0)
+    [largest], [smallest] = (
+        quantiles(stretches[:, 0], 1.0 - outliers / 100.0),
+        quantiles(stretches[:, 1], outliers / 100.0),
+    )
+    return largest, smallest
 
 
-def quantile(values: Float[np.ndarray, " n"], share: float) -> float:
-    """``np.quantile``, in a tenth of its time."""
-    place = share * (len(values) - 1)
-    low, high = floor(place), ceil(place)
-    ordered = np.partition(values, (low, high))
-    return float(ordered[low]) + (place - low) * float(ordered[high] - ordered[low])
+def quantiles(values: Float[np.ndarray, " n"], *shares: float) -> list[float]:
+    """``np.quantile``, in a tenth of its time: NumPy sorts floats faster than it partitions them."""
+    ordered = np.sort(values)
+    places = [(floor(place), ceil(place), place % 1.0) for place in (share * (len(values) - 1) for share in shares)]
+    return [float(ordered[low]) + part * float(ordered[high] - ordered[low]) for low, high, part in places]
 
 
 def grade_of(drape: Drape, strain: Strain | None) -> Grade:

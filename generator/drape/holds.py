@@ -159,12 +159,14 @@ def fell(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> str:
 
 
 def _pieces(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
-    """The connected component of each vertex: panels that share a vertex belong together."""
-    owner = mesh.panel_id[:, None]
-    panel = np.zeros(len(mesh.vertices), int)
-    panel[mesh.faces] = owner
+    """The connected component of each vertex: panels that share a vertex, which lies on a seam, belong together."""
+    columns, panel = mesh.faces.T, np.zeros(len(mesh.vertices), int)
+    for column in columns:
+        panel[column] = mesh.panel_id
+    sewn = np.flatnonzero(np.logical_or.reduce([column < mesh.n_seam_vertices for column in columns]))
     shared = np.zeros((len(mesh.panel_names),) * 2, bool)
-    shared[panel[mesh.faces], owner] = True
+    for column in columns:
+        shared[panel[column[sewn]], mesh.panel_id[sewn]] = True
     _, piece = connected_components(shared, directed=False)
     return np.asarray(piece)[panel]
 

@@ -374,6 +374,7 @@ def _empty_contacts(model: ClothModel, capacity: int) -> Contacts:
     lists = Contacts()
     lists.room = capacity
     lists.near, lists.long_edges, lists.crossings = (zeros(size, wp.vec2i) for _ in range(3))
+    lists.long_planes = zeros(3 * size, wp.vec4)
     lists.points, lists.sides = zeros(size, wp.vec4i), zeros(size, float)
     lists.edges, lists.normals = zeros(size, wp.vec4i), zeros(size, wp.vec3)
     lists.kept_points, lists.kept_sides = zeros(size, wp.vec4i), zeros(size, float)

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Self, cast
 import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float, Float32
-from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.body.pose import pose_body
 from gcd_dataset.generator.device import native_builds
@@ -45,6 +44,8 @@ class Motion:
     """Whether a vertex belongs to the trunk."""
     axes: tuple[Float[np.ndarray, "2 axes 3"], ...]
     """The axes of the body's parts at the same times as ``keys``: see ``BodyField.axes`` [cm]."""
+    ways_back: tuple[Float32[np.ndarray, "4 3"], ...]
+    """The rigid motions of the trunk from ``keys`` back to the A-pose: a turn, and in the last row a shift [cm]."""
 
     @classmethod
     def of(cls, bodies: Sequence[Body], home: Body | None = None) -> Self:
@@ -54,7 +55,9 @@ class Motion:
         ends = axis_ends(home or bodies[0])
         axes = tuple(axes_at(key, ends) for key in keys)
         trunk = bodies[0].parts == BodyPart.TRUNK.value
-        return cls(bodies[-1], tuple(keys), at_home, np.pad(trunk, (0, len(keys[0]) - len(trunk))), axes)
+        trunk = np.pad(trunk, (0, len(keys[0]) - len(trunk)))
+        ways_back = tuple(_rigid_motion(key[trunk].astype(float), at_home[trunk].astype(float)) for key in keys)
+        return cls(bodies[-1], tuple(keys), at_home, trunk, axes, ways_back)
 
     @classmethod
     def to_pose(cls, body: Body, pose: Pose) -> Self:
@@ -73,7 +76,8 @@ class Motion:
 
     def part(self, first: int, last: int) -> Self:
         """The motion from one of its keys to another."""
-        return replace(self, keys=self.keys[first : last + 1], axes=self.axes[first : last + 1])
+        own = slice(first, last + 1)
+        return replace(self, keys=self.keys[own], axes=self.axes[own], ways_back=self.ways_back[own])
 
     @property
     def seconds(self) -> float:
@@ -86,11 +90,17 @@ class Motion:
         """By how much the trunk ends lower than it was [cm]."""
         return float((self.keys[0] - self.keys[-1])[self.trunk, 1].mean())
 
-    def undone(self, points: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
-        """Points at the end of the motion [cm], moved with the trunk back to the A-pose."""
-        before, after = self.home[self.trunk], self.keys[-1][self.trunk]
-        turn, _ = Rotation.align_vectors(before - before.mean(axis=0), after - after.mean(axis=0))
-        return np.asarray(turn.apply(points - after.mean(axis=0)) + before.mean(axis=0))
+    def undone(self, points: Float[np.ndarray, "v 3"], key: int = -1) -> Float[np.ndarray, "v 3"]:
+        """Points at a key, by default the last [cm], moved with the trunk back to the A-pose."""
+        return points @ self.ways_back[key][:3] + self.ways_back[key][3]
+
+
+def _rigid_motion(start: Float[np.ndarray, "n 3"], end: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "4 3"]:
+    """The turn, and below it the shift, that move points nearest to their ends: ``x @ turn + shift`` (Kabsch 1976)."""
+    from_middle, to_middle = start.mean(axis=0), end.mean(axis=0)
+    left, _, right = np.linalg.svd((start - from_middle).T @ (end - to_middle))
+    turn = (left * [1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return np.vstack([turn, to_middle - from_middle @ turn]).astype(np.float32)
 
 
 @dataclass
@@ -139,7 +149,7 @@ class MovingSkin:
 
     def undone(self, points: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
         """Points [cm] moved with the trunk from where it is back to the A-pose."""
-        return self.motion.part(self.key, self.key).undone(points)
+        return self.motion.undone(points, self.key)
 
     def _along(self, frame: int) -> float:
         """How many keys lie behind the skin at a frame."""

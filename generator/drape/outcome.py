@@ -21,7 +21,7 @@ from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.kernels.place import NOT_COUNTED
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, RUNNING
 from gcd_dataset.generator.drape.solver import CROSSING_COUNTS, SELF_CROSSINGS, Solver
-from gcd_dataset.generator.quality import quantile
+from gcd_dataset.generator.quality import quantiles
 from gcd_dataset.records import Drape, Outcome
 
 STEP = 1.0 / 120.0  # s
@@ -189,7 +189,7 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     drapes = []
     for job, w in zip(jobs, worlds, strict=True):
         vertices = np.array(x[model.vertices[w]], np.float32)
-        stretch_median, stretch_p99 = (quantile(stretches[model.edges[w]], share) for share in (0.5, 0.99))
+        stretch_median, stretch_p99 = quantiles(stretches[model.edges[w]], 0.5, 0.99)
         drape = Drape(
             vertices=vertices,
             outcome=Outcome.SETTLED,

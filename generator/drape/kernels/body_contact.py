@@ -72,13 +72,13 @@ def moving_skin(world: World, x: wp.vec3, lag: float, last: wp.vec3):
 
 
 @wp.func
-def sample_field(world: World, x: wp.vec3, reach: float = BAND) -> wp.vec4:
+def sample_field(world: World, x: wp.vec3) -> wp.vec4:
     """Unit gradient and value [cm] of the signed distance at ``x``, trilinear; 1000 cm beyond the grid.
 
-    From the mesh of a skin that moves, up to ``reach`` from it: no field is rebuilt.
+    From the mesh of a skin that moves, up to ``BAND`` from it: no field is rebuilt.
     """
     if world.skin != wp.uint64(0):
-        return skin_distance(world.skin, x, reach)
+        return skin_distance(world.skin, x, BAND)
     g = (x - world.field_origin) / world.field_cell
     nx = world.field_size[0]
     ny = world.field_size[1]
@@ -170,8 +170,36 @@ def leave_body(depth: float, approach: float, world: World) -> float:
 
 
 @wp.func
+def find_inside_planes(
+    edge: wp.vec2i,
+    first: int,
+    world: World,
+    cloth: ClothArrays,
+    x: wp.array(dtype=wp.vec3),
+    planes: wp.array(dtype=wp.vec4),
+):
+    """Store the planes that stand for a moving skin at the three points of a long edge's inside: normal, offset [cm].
+
+    A point ``p`` is ``dot(normal, p) + offset`` outside.
+    """
+    i = edge[0]
+    j = edge[1]
+    for quarter in range(3):
+        t = 0.25 * float(quarter + 1)
+        p = wp.lerp(x[i], x[j], t)
+        last = wp.lerp(cloth.skin_velocity[i], cloth.skin_velocity[j], t)
+        near, _along, part = moving_skin(world, p, cloth.skin_lag[cloth.vertex_world[i]], last)
+        if is_ignored(cloth.ignored_parts[i] & cloth.ignored_parts[j], part) or near[3] < -DEEPEST:
+            near[3] = FAR
+        near[3] -= wp.dot(wp.vec3(near[0], near[1], near[2]), p)
+        planes[first + quarter] = near
+
+
+@wp.func
 def push_long_edge(
     edge: wp.vec2i,
+    first: int,
+    planes: wp.array(dtype=wp.vec4),
     world: World,
     cloth: ClothArrays,
     contact_weight: wp.array(dtype=float),
@@ -187,22 +215,30 @@ def push_long_edge(
 
     Friction acts at the vertices, in ``keep_off_body``, on velocities that include the forces of this substep; without
     these, cloth would creep by one substep's acceleration in each substep.
+
+    ``planes``: three from ``first`` on stand for a skin that moves, and move with it.
     """
     i = edge[0]
     j = edge[1]
-    for quarter in range(1, 4):
-        t = 0.25 * float(quarter)
+    for quarter in range(3):
+        t = 0.25 * float(quarter + 1)
         before = wp.lerp(x[i], x[j], t)
-        # Positions relative to the mesh, which lags behind the skin.
-        carried = wp.lerp(cloth.skin_velocity[i], cloth.skin_velocity[j], t)
-        before -= cloth.skin_lag[cloth.vertex_world[i]] * carried
-        here = before + world.dt * (wp.lerp(v[i], v[j], t) - carried)
-        near = sample_field(world, here, DEEPEST)
+        here = before + world.dt * wp.lerp(v[i], v[j], t)
+        near = wp.vec4(0.0)
+        if world.skin != wp.uint64(0):
+            near = planes[first + quarter]
+            carried = world.dt * wp.lerp(cloth.skin_velocity[i], cloth.skin_velocity[j], t)
+            near[3] -= wp.dot(wp.vec3(near[0], near[1], near[2]), carried)
+            planes[first + quarter] = near
+            near[3] += wp.dot(wp.vec3(near[0], near[1], near[2]), here)
+            before += carried
+        else:
+            near = sample_field(world, here)
         if near[3] >= world.body_gap:
             continue
-        part = nearest_part(world, here)
-        if is_ignored(cloth.ignored_parts[i] & cloth.ignored_parts[j], part):
-            continue
+        if world.skin == wp.uint64(0):
+            if is_ignored(cloth.ignored_parts[i] & cloth.ignored_parts[j], nearest_part(world, here)):
+                continue
         add_weight(push, i, 1.0 - t)
         add_weight(push, j, t)
         depth = MIDDLE_SHARE * world.body_gap - near[3]

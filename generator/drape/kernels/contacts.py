@@ -221,6 +221,9 @@ def push_contacts(
                 contacts.edges[at + k], contacts.normals[at + k], world, cloth.inertia, contact_weight, x, v, push
             )
         elif k < longs:
-            push_long_edge(contacts.long_edges[at + k - edges], world, cloth, contact_weight, x, v, push)
+            k = at + k - edges
+            push_long_edge(
+                contacts.long_edges[k], 3 * k, contacts.long_planes, world, cloth, contact_weight, x, v, push
+            )
         elif crossing.separated[w] != 0:
             untangle_crossing(contacts.crossings[at + k - longs], world, cloth, x, push)

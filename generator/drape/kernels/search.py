@@ -7,7 +7,13 @@ their nearest vertices lists the contact.
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.body_contact import FAR, find_skin, moving_skin, sample_field
+from gcd_dataset.generator.drape.kernels.body_contact import (
+    FAR,
+    find_inside_planes,
+    find_skin,
+    moving_skin,
+    sample_field,
+)
 from gcd_dataset.generator.drape.kernels.geometry import (
     closest_on_edges,
     closest_on_triangle,
@@ -332,7 +338,7 @@ def find_long_edges(
     listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
-    """List long edges whose midpoint may come near the skin: edges of coarse cloth, and of seams not closed yet."""
+    """List long edges whose inside may come near the skin: edges of coarse cloth, and of seams not closed yet."""
     e = wp.tid()
     i = cloth.edges[e][0]
     j = cloth.edges[e][1]
@@ -347,11 +353,14 @@ def find_long_edges(
     from_skin = skin[i][3]
     if from_skin > limit + half + FIELD_SLACK and from_skin < FAR:
         return  # the midpoint is nearer to the skin by half an edge at most
-    middle = sample_field(world, wp.lerp(x[i], x[j], 0.5))
-    if middle[3] > limit:
-        return
+    if world.skin == wp.uint64(0):
+        middle = sample_field(world, wp.lerp(x[i], x[j], 0.5))
+        if middle[3] > limit:
+            return
     slot = take_slot(contacts.long_count, w, world, contacts)
     if slot >= 0:
         contacts.long_edges[slot] = cloth.edges[e]
+        if world.skin != wp.uint64(0):
+            find_inside_planes(cloth.edges[e], 3 * slot, world, cloth, x, contacts.long_planes)
         listed[i] = 1
         listed[j] = 1

@@ -103,6 +103,7 @@ class Contacts:
     kept_edges: wp.array(dtype=wp.vec4i)
     kept_normals: wp.array(dtype=wp.vec3)
     long_edges: wp.array(dtype=wp.vec2i)  # edges whose inside may touch the body
+    long_planes: wp.array(dtype=wp.vec4)  # three for each, of a moving skin, see ``find_inside_planes``
     crossings: wp.array(dtype=wp.vec2i)  # edge, face that it crosses
     near_count: wp.array(dtype=int)  # (w) requested entries, which may exceed the capacity; the same for other counts
     point_count: wp.array(dtype=int)
