@@ -17,6 +17,7 @@ from gcd_dataset.records import Drape, GarmentMotion, Maps
 PIXELS = 16 * 512**2  # pixels of one rendering: 8 garments in two views, 0.2 GB of hits
 MAPPED = 8  # garments whose maps are computed at once, without pictures
 MOVED = 32  # garments that a GPU moves at once
+PATIENCE = 128  # garments draped for others while one waits to move with more
 MAX_IN_FLIGHT = 2  # renderings: one runs while the next is prepared
 
 
@@ -38,17 +39,20 @@ class PictureQueue:
         self._pending: list[_PendingRequest] = []
         self._moving: list[_PendingRequest] = []
         """Garments at rest whose bodies will move."""
+        self._let_pass = 0
+        """Garments added while others wait to move."""
         self._in_flight: deque[tuple[_Renderings, list[_PendingRequest]]] = deque()
 
     def add(self, request: DrapeRequest, drape: Drape, reply: Callable[[DrapeReply], None]) -> None:
         """Add a draped garment; this call, or a later call of any method, calls ``reply``."""
         pending = _PendingRequest(request, drape, reply)
+        self._let_pass = self._let_pass + 1 if self._moving else 0
         if not request.motion or drape.outcome not in KEEPS_CROSSINGS:
             [motion] = moved([request], [drape], self._device)
             self._show(replace(pending, motion=motion))
-            return
-        self._moving.append(pending)
-        if len(self._moving) >= self._most_moving():
+        else:
+            self._moving.append(pending)
+        if self._moving and (len(self._moving) >= self._most_moving() or self._let_pass >= PATIENCE):
             self._move()
 
     def _most_moving(self) -> int:

@@ -116,6 +116,19 @@ def test_motions_begin_together(jobs: list[DrapeJob], monkeypatch: pytest.Monkey
     assert all(reply.motion and reply.motion.poses == moving.motion for reply in replies[2:])
 
 
+def test_a_motion_does_not_wait_for_ever(jobs: list[DrapeJob], monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the garments of others, which do not move, arrive without end."""
+    monkeypatch.setattr("gcd_dataset.generator.drape.drape.drape_on", still)
+    monkeypatch.setattr(PictureQueue, "_most_moving", lambda _: 2)
+    monkeypatch.setattr("gcd_dataset.generator.drapers.pictures.PATIENCE", 3)
+    replies: list[DrapeReply] = []
+    queue, rest = PictureQueue("cpu"), at_rest(jobs[0])
+    for number in range(5):
+        motion = tuple(walk()[:3]) if number == 1 else ()
+        queue.add(DrapeRequest(number, jobs[0], motion=motion), rest, replies.append)
+    assert [reply.number for reply in replies] == [0, 2, 3, 4, 1]
+
+
 def test_every_garment_gets_its_own_views(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also beside a diverged drape, which has none, and beside garments that ask for none."""
     monkeypatch.setattr(PictureQueue, "_batch_size", lambda *_: 2)
