@@ -262,8 +262,11 @@ def select_fields(fields: Iterable[str] | None, available: Iterable[str] = FIELD
         return known
     requested = {fields} if isinstance(fields, str) else set(fields)
     if unknown := sorted(requested - set(known)):
-        nearest = did_you_mean(unknown[0], known)
-        remedy = "; gcd generate --maps stores maps" if unknown[0] in ARRAYS[MAPS] else nearest
+        remedy = did_you_mean(unknown[0], known)
+        if unknown[0] in ARRAYS[MAPS]:
+            remedy = "; gcd generate --maps stores maps"
+        elif unknown[0].startswith("motion_"):
+            remedy = "; frames=8 reads garments in motion, 8 frames at a time"
         raise ConfigError(f"no field {', '.join(unknown)}: there are {', '.join(known)}{remedy}")
     return tuple(field for field in known if field in requested)
 
