@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import pi, tan
-from typing import TYPE_CHECKING, NamedTuple, Self, TypeAlias
+from typing import NamedTuple, Self, TypeAlias
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.collar import with_collar
@@ -25,9 +25,6 @@ from gcd_dataset.generator.pattern import (
     tangent_quadratic,
 )
 from gcd_dataset.records import EdgeRole, Measurements, PanelRole
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, slots=True)

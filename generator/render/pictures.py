@@ -162,9 +162,6 @@ def draw_view(
     return View(row, appearance, camera, lights, environment, seed=int(rng.integers(1 << 31)))
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 def _balanced(
     lights: Lights, environment: Environment, camera: Camera, *, left: float, cast: float
 ) -> tuple[Lights, Environment]:
