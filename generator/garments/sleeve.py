@@ -196,7 +196,7 @@ def _equalised(front: Stroke, back: Stroke, *, shortest: float) -> tuple[tuple[S
     beyond the crease moves to the back. A front shorter than its back, or longer by less than ``shortest`` cm, keeps
     its shape.
     """
-    front_under, back_under = front.start, _turned_over(back).start
+    front_under, back_under = front.start, back.upside_down().start
     span = (back_under[0] - front_under[0], back_under[1] - front_under[1])
     tilt = atan2(span[0], span[1])
     # The curve parameter of the front that is equally far from both underarm points: the root of a cubic.
@@ -209,12 +209,7 @@ def _equalised(front: Stroke, back: Stroke, *, shortest: float) -> tuple[tuple[S
     if crease is None or not even < crease < 1 - even or hypot(*front.at(crease)) < shortest:
         return (front.rotated(tilt),), (back.rotated(-tilt),)
     kept, surplus = front.split_at([crease])
-    return (kept.rotated(tilt),), (back.rotated(-tilt), _turned_over(surplus.reversed()).rotated(-tilt))
-
-
-def _turned_over(stroke: Stroke) -> Stroke:
-    """The mirror image about the x axis."""
-    return stroke.mirrored().rotated(pi)
+    return (kept.rotated(tilt),), (back.rotated(-tilt), surplus.reversed().upside_down().rotated(-tilt))
 
 
 def _half(size: Measurements, design: SleeveDesign, name: str, opening: tuple[Stroke, ...], rest: float) -> Piece:

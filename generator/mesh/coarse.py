@@ -191,10 +191,6 @@ class CoarseMesh:
     weights: Float[np.ndarray, "v 3"]
     """Their barycentric weights, which add up to 1."""
 
-    def refine(self, values: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "v 3"]:
-        """Positions or velocities at the fine vertices, interpolated from the coarse ones."""
-        return np.einsum("vk,vkd->vd", self.weights, values[self.corners])
-
 
 def coarse_start(mesh: BoxMesh) -> CoarseMesh | None:
     """The coarse mesh that a drape starts with; ``None`` if the mesh is small or a panel too narrow."""
