@@ -198,12 +198,12 @@ def linked(lines: Sequence[Float[np.ndarray, "n 2"]], reach: float, *, over: int
     return _joined(lines, partner)
 
 
-def smoothed(line: Float[np.ndarray, "n 2"], sigma: float, *, spacing: float = 1.0) -> Float[np.ndarray, "n 2"]:
-    """A polyline resampled at ``spacing`` and smoothed over ``sigma``, both in pixels; open ends stay in place."""
+def smoothed(line: Float[np.ndarray, "n 2"], sigma: float) -> Float[np.ndarray, "n 2"]:
+    """A polyline resampled at each pixel and smoothed over ``sigma`` pixels; open ends stay in place."""
     length = lengths_along(line)
     if length[-1] == 0.0:
         return line[:1]
-    steps = max(2, round(float(length[-1]) / spacing))
+    steps = max(2, round(float(length[-1])))
     at = np.linspace(0.0, length[-1], steps + 1)
     even = points_at(line, length, at)
     width = min(sigma, 0.15 * float(length[-1])) / (float(length[-1]) / steps)
