@@ -150,11 +150,6 @@ def outlined() -> Outline:
     return Outline.start(0, 0).line(30, 0, name="hem").line(30, 20, name="side").line(0, 20).close(name="centre")
 
 
-def test_the_sign_of_the_area_is_the_direction_of_the_loop() -> None:
-    assert outlined().area == pytest.approx(600.0)
-    assert outlined().mirrored().area == pytest.approx(-600.0)
-
-
 def test_a_divided_edge_cannot_be_looked_up_as_one() -> None:
     hem = outlined().edge("hem")
     divided = outlined().with_strokes((hem,), hem.split([0.5]))
