@@ -39,11 +39,6 @@ from gcd_dataset.records import Body, Closure, Measurements, Outcome, Outfit, Pa
 from gcd_dataset.shards.layout import MOST_GARMENTS
 from gcd_dataset.spec import is_trouser_leg
 
-__all__ = [
-    "OUTFITS", "Outfits", "WornDesign", "count_fault", "is_tucked", "order_fault", "read_outfits", "worn_open",
-    "worn_outfit",
-]  # fmt: skip
-
 OUTFITS = ("everyday",)
 """The files of outfits in this package."""
 BELOW_CROTCH = 10.0  # cm, a hand's breadth: the longest shirt tail that is tucked in

@@ -240,10 +240,7 @@ def capacity_for(free: float) -> int:
 
 
 def _checked(jobs: Iterable[DrapeJob], device: str, refused: dict[int, Drape]) -> Iterator[DrapeJob]:
-    """The jobs that can be draped; the drapes of the others go to ``refused``, by number.
-
-    The first job loads the kernels in the calling thread, where Ctrl-C works.
-    """
+    """The jobs that can be draped; the drapes of the others go to ``refused``, by number."""
     for number, job in enumerate(jobs):
         try:
             job.require_drapeable()
@@ -251,7 +248,7 @@ def _checked(jobs: Iterable[DrapeJob], device: str, refused: dict[int, Drape]) -
             refused[number] = _refused(job, str(error))
             continue
         if number == len(refused):
-            load_drape(device)
+            load_drape(device)  # in the calling thread, where Ctrl-C works
         yield job
 
 

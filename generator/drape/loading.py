@@ -7,7 +7,6 @@ from types import ModuleType
 
 from gcd_dataset.generator.device import cores, load_kernels, resolve_device
 from gcd_dataset.generator.drape import kernels
-from gcd_dataset.generator.quality import core_seconds
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -16,6 +15,7 @@ NAMES = (
     "untangling",
 )  # fmt: skip
 KERNELS: tuple[ModuleType, ...] = tuple(import_module(f"{kernels.__name__}.{name}") for name in NAMES)
+FIXED, PER_DENSITY = 0.8, 6.5  # s, s cm² of a CPU core; fitted to 7.2, 2.4 and 1.2 s at 1, 2 and 4 cm
 GPU_SECONDS = 0.014  # a garment at 1 cm on an H200, 3 000 garments, 128 at once: benchmarks/reports/drape_sampled.md
 LONG = 10.0  # s: shorter times are not logged
 
@@ -34,7 +34,7 @@ def seconds_per_garment(device: str = "auto", spacing: float = 1.0) -> float:
     >>> seconds_per_garment("cpu"), round(seconds_per_garment("cpu", spacing=2.0), 1)
     (7.3, 2.4)
     """
-    return core_seconds(spacing) if resolve_device(device) == "cpu" else GPU_SECONDS / spacing**2
+    return FIXED + PER_DENSITY / spacing**2 if resolve_device(device) == "cpu" else GPU_SECONDS / spacing**2
 
 
 def log_drape_time(garments: int, device: str = "auto", spacing: float = 1.0) -> None:

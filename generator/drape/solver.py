@@ -129,17 +129,17 @@ class Solver:
         m = self.model
         self.launch(finish.round_positions, m.n_vertices, [m.cloth, chosen], [self.state.x])
 
-    def self_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
-        """(w) edges of each world's cloth that cross the cloth; 0 outside ``worlds``."""
-        return to_host(self.counted(SELF_CROSSINGS, self.chosen(worlds)))
+    def self_crossings(self) -> Int[np.ndarray, " w"]:
+        """(w) edges of each world's cloth that cross the cloth."""
+        return to_host(self.counted(SELF_CROSSINGS, self.chosen(None)))
 
-    def body_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
-        """(w) edges of each world's cloth that cross the skin; 0 outside ``worlds``."""
-        return to_host(self.counted(BODY_CROSSINGS, self.chosen(worlds)))
+    def body_crossings(self) -> Int[np.ndarray, " w"]:
+        """(w) edges of each world's cloth that cross the skin."""
+        return to_host(self.counted(BODY_CROSSINGS, self.chosen(None)))
 
-    def body_through(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
-        """(w) edges of each world's skin that cross the cloth; 0 outside ``worlds``."""
-        return to_host(self.counted(BODY_THROUGH, self.chosen(worlds)))
+    def body_through(self) -> Int[np.ndarray, " w"]:
+        """(w) edges of each world's skin that cross the cloth."""
+        return to_host(self.counted(BODY_THROUGH, self.chosen(None)))
 
     def counted(self, kernel: wp.Kernel, chosen: wp.array) -> wp.array:
         """(w) what one of ``CROSSING_COUNTS`` counts in the worlds marked in ``chosen`` (w), on the device."""

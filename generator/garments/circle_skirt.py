@@ -12,8 +12,9 @@ from gcd_dataset.generator.garments.skirt import (
     SHORTEST,
     across,
     hem_ring,
-    length_below_waist,
     sector,
+    sewn_at_sides,
+    skirt_length,
     skirt_panel,
     waist_ring,
 )
@@ -87,11 +88,6 @@ def flare_nouns(design: FlareSkirtDesign) -> tuple[str, ...]:
     return ("very full circle skirt",) if design.suns >= VERY_FULL else (tag.value,)
 
 
-def flare_skirt_length(size: Measurements, design: FlareSkirtDesign, rise: float) -> float:
-    """Length from the top to the hem along the cloth [cm]; along the back if the front is shorter."""
-    return max(length_below_waist(size, design.length, rise=rise), SHORTEST)
-
-
 LEAST_HEM = 0.01  # share of the hem: a cut with less hem beside it moves to the side seam, GarmentCode
 VISIBLE_CUT = 3.0  # cm: descriptions leave out a shallower cut
 CUT_SIDES = ((0.4, "right"), (0.6, "middle"))  # largest share of the hem, from the wearer's right, of each name
@@ -134,12 +130,7 @@ def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, leng
             front = _with_cut(front, shape, cut.width * length, cut.place)
         else:
             back = _with_cut(back, shape, cut.width * length, 1 + cut.place)
-    return (
-        Component.of(front, back)
-        .sewn(front.along("right"), back.along("right"))
-        .sewn(front.along("left"), back.along("left"))
-        .offering(top=waist_ring(size, front, back), bottom=hem_ring(front, back))
-    )
+    return sewn_at_sides(front, back).offering(top=waist_ring(size, front, back), bottom=hem_ring(front, back))
 
 
 def _half_ring(radius: float, near: float, far: float) -> Piece:
@@ -172,10 +163,7 @@ def _require_uncut_waist(piece: Piece, hole: float) -> None:
 
 
 def _with_cut(piece: Piece, shape: tuple[Stroke, ...], width: float, share: float) -> Piece:
-    """The piece with a shape cut into its hem, centred at a share of the hem from the wearer's right.
-
-    A cut that would run over the end of the hem is moved inwards.
-    """
+    """The piece with a shape cut into its hem, centred at a share of the hem from the right, or inside its end."""
     hem = piece.outline.length("bottom")
     at, least = share * hem, 0.5 * width + LEAST_HEM * hem
     if at < least:
@@ -200,7 +188,7 @@ def _describe_asymmetric(setting: Setting, design: FlareSkirtDesign) -> Descript
 
 def _cut_details(setting: Setting, design: FlareSkirtDesign) -> tuple[Detail, ...]:
     """The hem cut, unless it is too shallow to see."""
-    length = max(flare_skirt_length(setting.size, design, setting.rise), SHORTEST)
+    length = skirt_length(setting.size, design, setting.rise)
     if not design.cut.add or design.cut.depth * length < VISIBLE_CUT:
         return ()
     where = "front" if design.cut.place > 0 else "back"
@@ -217,7 +205,7 @@ CIRCLE_SKIRT = BottomGarment(
     section="flare-skirt",
     design=FlareSkirtDesign,
     cut=circle_skirt,
-    length_of=flare_skirt_length,
+    length_of=skirt_length,
     description_of=_describe_circle,
     without_slits=lambda design: replace(design, cut=replace(design.cut, add=False)),
     flared=True,
@@ -256,10 +244,7 @@ def panel_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) 
 
 
 def _with_bent_hem(panel: Piece, bulge: float) -> Piece:
-    """The panel with an arc as its hem; ``bulge`` is sagitta over chord, positive outwards.
-
-    Raises ``PatternError`` for a hem that bends inwards over the sides or the top.
-    """
+    """The panel with an arc of that sagitta over chord as its hem, positive outwards. Raises ``PatternError``."""
     if not bulge:
         return panel
     hem, side = panel.outline.edge("bottom"), panel.outline.edge("right").chord
@@ -302,7 +287,7 @@ PANEL_SKIRT = BottomGarment(
     section="flare-skirt",
     design=FlareSkirtDesign,
     cut=panel_skirt,
-    length_of=flare_skirt_length,
+    length_of=skirt_length,
     description_of=_describe_panels,
     flared=True,
     fullness_parameter="suns",

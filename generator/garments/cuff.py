@@ -14,7 +14,7 @@ import numpy as np
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.description import RUFFLES, CuffGathers
-from gcd_dataset.generator.garments.skirt import band, skirt_panel
+from gcd_dataset.generator.garments.skirt import band, sewn_at_sides, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements, PanelRole
@@ -170,7 +170,4 @@ def _tube(name: str, length: float, half: Callable[[str], Piece]) -> tuple[Piece
     if length < SHORTEST:
         raise PatternError(f"{name} is {length:.2f} cm long: raise cuff_len, or the length of the sleeve or trousers")
     front, back = half(f"{name}_f").at(0, 0, FRONT), half(f"{name}_b").at(0, 0, BACK)
-    sewn = Component.of(front, back)
-    for side in ("right", "left"):
-        sewn = sewn.sewn(front.along(side), back.along(side))
-    return front, back, sewn
+    return front, back, sewn_at_sides(front, back)

@@ -6,7 +6,14 @@ from dataclasses import dataclass, replace
 from gcd_dataset.generator.garments.description import RUFFLES, Description, Detail, Setting, Tag, Zone
 from gcd_dataset.generator.garments.garment import BottomGarment, Cutting, Ring
 from gcd_dataset.generator.garments.mends import Mend
-from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, skirt_panel, waist_ring
+from gcd_dataset.generator.garments.skirt import (
+    SHORTEST,
+    hem_ring,
+    sewn_at_sides,
+    skirt_length,
+    skirt_panel,
+    waist_ring,
+)
 from gcd_dataset.generator.garments.space import Design, integer, real
 from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
 from gcd_dataset.generator.pattern import Component, Piece
@@ -43,17 +50,7 @@ def gathered_skirt(size: Measurements, design: GatheredSkirtDesign, cutting: Cut
 
     front = panel(f"skirt_front{cutting.suffix}", girth_at_rise(size, rise) - back_width).at(0, size.waist_level, FRONT)
     back = panel(f"skirt_back{cutting.suffix}", back_width).at(0, size.waist_level, BACK)
-    return (
-        Component.of(front, back)
-        .sewn(front.along("right"), back.along("right"))
-        .sewn(front.along("left"), back.along("left"))
-        .offering(top=waist_ring(size, front, back), bottom=hem_ring(front, back))
-    )
-
-
-def _length(size: Measurements, design: GatheredSkirtDesign, rise: float) -> float:
-    """Length from the top to the hem [cm]."""
-    return max(length_below_waist(size, design.length, rise=rise), SHORTEST)
+    return sewn_at_sides(front, back).offering(top=waist_ring(size, front, back), bottom=hem_ring(front, back))
 
 
 def _slit(design: GatheredSkirtDesign, below_hips: float, mends: frozenset[Mend]) -> float:
@@ -75,7 +72,7 @@ def _rings(
 def _describe(setting: Setting, design: GatheredSkirtDesign) -> Description:
     """Gathered if the seam at its top gathers it: on a wide hem or band the same skirt hangs straight."""
     details, tags = [], []
-    length = _length(setting.size, design, setting.rise) - setting.rise * setting.size.hips_line
+    length = skirt_length(setting.size, design, setting.rise) - setting.rise * setting.size.hips_line
     slit = _slit(design, length, GATHERED_SKIRT.mends)
     if slit >= VISIBLE_SLIT:
         high = "high " if design.bottom_cut > HIGH_SLIT else ""
@@ -99,7 +96,7 @@ GATHERED_SKIRT = BottomGarment(
     mends=frozenset({Mend.SLIT_LENGTH}),
     design=GatheredSkirtDesign,
     cut=gathered_skirt,
-    length_of=_length,
+    length_of=skirt_length,
     description_of=_describe,
     without_slits=lambda design: replace(design, bottom_cut=0.0),
     ungathered=lambda design: replace(design, ruffle=1.0),

@@ -20,7 +20,7 @@ from gcd_dataset.curves import LINE, Point, reflection
 from gcd_dataset.generator.garments.description import Description, Detail, Setting, Tag, Words, Zone
 from gcd_dataset.generator.garments.garment import BottomGarment, Cutting
 from gcd_dataset.generator.garments.gathered_skirt import BACK, FRONT
-from gcd_dataset.generator.garments.skirt import SHORTEST, STRAIGHT, length_below_waist
+from gcd_dataset.generator.garments.skirt import SHORTEST, STRAIGHT, sewn_at_sides, skirt_length
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
 from gcd_dataset.generator.garments.trunk import back_share, girth_at_rise, waist_back, waist_front
 from gcd_dataset.generator.pattern import Component, Interface, Outline, Piece, backwards
@@ -100,11 +100,7 @@ def pleated_skirt(size: Measurements, design: PleatedSkirtDesign, cutting: Cutti
         for side, width in (("front", girth - back_width), ("back", back_width))
     ]
     front, back = (panel.piece.at(0, size.waist_level, z) for panel, z in zip(panels, (FRONT, BACK), strict=True))
-    whole = (
-        Component.of(front, back)
-        .sewn(front.along("right"), back.along("right"))
-        .sewn(front.along("left"), back.along("left"))
-    )
+    whole = sewn_at_sides(front, back)
     for panel, piece in zip(panels, (front, back), strict=True):
         for upper, lower in panel.stacked:
             whole = whole.sewn(piece.along(upper), piece.against(lower))
@@ -217,11 +213,6 @@ def _hem(size: Measurements, design: PleatedSkirtDesign, rise: float, length: fl
     return girth + max(design.hips * size.hips - girth, 0.0) * length / above
 
 
-def _length(size: Measurements, design: PleatedSkirtDesign, rise: float) -> float:
-    """Length from the top to the hem [cm]."""
-    return max(length_below_waist(size, design.length, rise=rise), SHORTEST)
-
-
 WORDS: dict[Pleats, Words] = {
     Pleats.KNIFE: ("knife pleats",),
     Pleats.BOX: ("box pleats",),
@@ -241,7 +232,7 @@ PLEATED_SKIRT = BottomGarment(
     design=PleatedSkirtDesign,
     weight=0,
     cut=pleated_skirt,
-    length_of=_length,
+    length_of=skirt_length,
     description_of=_describe,
     elastic=True,
 )

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import pi, tan
-from typing import TYPE_CHECKING, NamedTuple, Self, TypeAlias
+from typing import NamedTuple, Self, TypeAlias
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.collar import with_collar
@@ -25,9 +25,6 @@ from gcd_dataset.generator.pattern import (
     tangent_quadratic,
 )
 from gcd_dataset.records import EdgeRole, Measurements, PanelRole
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,14 +295,12 @@ def _placed(size: Measurements, name: str, half: TorsoHalf, z: float) -> Piece:
     return Piece(name, half.outline).at(0, size.height - size.head_l - half.neck_base, z)
 
 
-def armhole_from_centre(
-    size: Measurements, shirt: ShirtDesign, arm: SleeveDesign, *, fitted: bool, mends: frozenset[Mend] = ALL_MENDS
-) -> float:
+def armhole_from_centre(size: Measurements, shirt: ShirtDesign, arm: SleeveDesign, *, fitted: bool) -> float:
     """Horizontal distance of the armhole from the centre, the smaller one of front and back [cm].
 
     Raises ``PatternError`` for armholes that cannot be cut.
     """
-    halves = _with_armholes(size, shirt, _Armholes.of(arm), fitted=fitted, mends=mends)
+    halves = _with_armholes(size, shirt, _Armholes.of(arm), fitted=fitted, mends=ALL_MENDS)
     return min(_shoulder_end(half) for half in halves)
 
 

@@ -4,10 +4,11 @@ Pieces are drawn symmetrically about x = 0, with the middle of their ``top`` at 
 """
 
 from math import cos, pi, sin
+from typing import Any
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.generator.garments.trunk import waist_back, waist_front
-from gcd_dataset.generator.pattern import Interface, Outline, Piece, backwards
+from gcd_dataset.generator.pattern import Component, Interface, Outline, Piece, backwards
 from gcd_dataset.records import Measurements
 
 STRAIGHT = 1e-3  # rad: a narrower sector is drawn as a rectangle
@@ -78,6 +79,17 @@ SHORTEST = 5.0  # cm: the shortest skirt, GarmentCode
 def length_below_waist(size: Measurements, below_hips: float, *, rise: float) -> float:
     """Length [cm] from a top at ``rise`` (0 hips, 1 waist) to the hem; ``below_hips``: of hips to floor."""
     return rise * size.hips_line + below_hips * size.leg_length
+
+
+def skirt_length(size: Measurements, design: Any, rise: float) -> float:
+    """Length from the top to the hem along the cloth [cm]; along the back if the front is shorter."""
+    return max(length_below_waist(size, design.length, rise=rise), SHORTEST)
+
+
+def sewn_at_sides(front: Piece, back: Piece) -> Component:
+    """Front and back, sewn to each other along ``right`` and ``left``."""
+    sewn = Component.of(front, back).sewn(front.along("right"), back.along("right"))
+    return sewn.sewn(front.along("left"), back.along("left"))
 
 
 def waist_ring(size: Measurements, front: Piece, back: Piece) -> Interface:

@@ -173,10 +173,7 @@ def sleeve(
 
 @lru_cache(maxsize=16)  # sleeves that differ in length or cuff have the same opening
 def _opening(armhole: Stroke, rest: float, mix: float) -> Stroke:
-    """The sleeve's edge for an armhole, from the underarm up to the shoulder, which is the origin.
-
-    It has the armhole's length, points straight down at the shoulder, and its chord is turned by ``rest`` [rad].
-    """
+    """The sleeve's edge for an armhole, up to the shoulder at the origin, with its chord turned by ``rest`` [rad]."""
     along = rotate(DOWN, -rest)
     towards = DOWN if mix > 0 else (-1.0, 0.0)
     tangent = ((1 - mix) * along[0] + abs(mix) * towards[0], (1 - mix) * along[1] + abs(mix) * towards[1])
@@ -199,7 +196,7 @@ def _equalised(front: Stroke, back: Stroke, *, shortest: float) -> tuple[tuple[S
     beyond the crease moves to the back. A front shorter than its back, or longer by less than ``shortest`` cm, keeps
     its shape.
     """
-    front_under, back_under = front.start, _turned_over(back).start
+    front_under, back_under = front.start, back.upside_down().start
     span = (back_under[0] - front_under[0], back_under[1] - front_under[1])
     tilt = atan2(span[0], span[1])
     # The curve parameter of the front that is equally far from both underarm points: the root of a cubic.
@@ -212,12 +209,7 @@ def _equalised(front: Stroke, back: Stroke, *, shortest: float) -> tuple[tuple[S
     if crease is None or not even < crease < 1 - even or hypot(*front.at(crease)) < shortest:
         return (front.rotated(tilt),), (back.rotated(-tilt),)
     kept, surplus = front.split_at([crease])
-    return (kept.rotated(tilt),), (back.rotated(-tilt), _turned_over(surplus.reversed()).rotated(-tilt))
-
-
-def _turned_over(stroke: Stroke) -> Stroke:
-    """The mirror image about the x axis."""
-    return stroke.mirrored().rotated(pi)
+    return (kept.rotated(tilt),), (back.rotated(-tilt), surplus.reversed().upside_down().rotated(-tilt))
 
 
 def _half(size: Measurements, design: SleeveDesign, name: str, opening: tuple[Stroke, ...], rest: float) -> Piece:
@@ -277,10 +269,7 @@ def sleeve_of(size: Measurements, design: SleeveDesign, half: Component, *, mend
 
 
 def _clear_of(half: Component, arm: Component, angle: float) -> Component:
-    """The sleeve moved out along the arm until it overlaps the trunk by at most ``OVERLAP``, as on a plain shirt.
-
-    Without the shift, shirts with wide sides or gathered sleeves tangle while their seams close.
-    """
+    """The sleeve moved out along the arm until it overlaps the trunk by at most ``OVERLAP``: else it tangles."""
     trunk = shapely.union_all([_silhouette(piece) for piece in half.pieces])
     silhouette = shapely.union_all([_silhouette(piece) for piece in arm.pieces])
     along = (-cos(angle), -sin(angle))

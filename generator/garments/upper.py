@@ -1,26 +1,27 @@
 """Uppers: straight and fitted shirts, sewn of two halves, and their records."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.description import Description, Setting
+from gcd_dataset.generator.garments.collar import collar_words
+from gcd_dataset.generator.garments.cuff import cuff_words, single_cuff_words, sleeve_cuff_length
+from gcd_dataset.generator.garments.description import (
+    UNGATHERED,
+    Description,
+    Detail,
+    Setting,
+    Tag,
+    Words,
+    Zone,
+    with_article,
+)
 from gcd_dataset.generator.garments.front import TAGS as FRONT_TAGS
 from gcd_dataset.generator.garments.front import FrontDesign, front_details, sewn_fronts
 from gcd_dataset.generator.garments.garment import UpperGarment
 from gcd_dataset.generator.garments.mends import Mend
-from gcd_dataset.generator.garments.shirt import ShirtDesign, UpperHalf, right_half
-from gcd_dataset.generator.pattern import Component, backwards
-from gcd_dataset.records import Closure, Measurements
-
-if TYPE_CHECKING:
-    from gcd_dataset.generator.garments.design import GarmentDesign
-from collections.abc import Iterator
-
-from gcd_dataset.generator.garments.collar import collar_words
-from gcd_dataset.generator.garments.cuff import cuff_words, single_cuff_words, sleeve_cuff_length
-from gcd_dataset.generator.garments.description import UNGATHERED, Detail, Tag, Words, Zone, with_article
 from gcd_dataset.generator.garments.neckline import (
     NecklineDesign,
     back_neckline_words,
@@ -28,15 +29,18 @@ from gcd_dataset.generator.garments.neckline import (
     neckline_words,
     worn_neckline,
 )
-from gcd_dataset.generator.garments.shirt import BACK_NAME, FRONT_NAME, right_torso
+from gcd_dataset.generator.garments.shirt import BACK_NAME, FRONT_NAME, ShirtDesign, UpperHalf, right_half, right_torso
 from gcd_dataset.generator.garments.sleeve import SleeveDesign, sleeve_tag, sleeve_words
+from gcd_dataset.generator.pattern import Component, backwards
+from gcd_dataset.records import Closure, Measurements
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.garments.design import GarmentDesign
 
 LOOSE = 1.18  # least girth of the chest over the bust of a loose shirt
 FLARED, TAPERED = 1.2, 0.88  # least and largest girth of the hem over the chest of a flared and of a tapered shirt
 NEAR_NECK = (0.35, 0.6)  # largest width and front depth, as in ``NecklineDesign``, of a neckline close to the neck
-STRAPLESS: Words = ("strapless",)
 ONE_SHOULDER: Words = ("one-shoulder",)
-SLEEVELESS: Words = ("sleeveless",)
 SIDES = ("right", "left")
 
 
@@ -47,11 +51,11 @@ def describe_shirt(setting: Setting, halves: tuple[UpperHalf, ...], *, fitted: b
     traits: tuple[Words, ...] = ()
     details: tuple[Detail, ...] = ()
     if all(bare):
-        traits = (STRAPLESS,)
+        traits = (("strapless",),)
     elif any(bare):
         traits, details = (ONE_SHOULDER,), _one_shoulder(setting, halves, side=bare.index(False))
     else:
-        traits = (SLEEVELESS,) if all(arm.sleeveless for _, _, arm in halves) else ()
+        traits = (("sleeveless",),) if all(arm.sleeveless for _, _, arm in halves) else ()
         details = (*_necks(size, halves, fitted=fitted), *_sleeves(setting, [arm for _, _, arm in halves]))
     cut = _cut([shirt for shirt, _, _ in halves], fitted=fitted)
     return Description(("top",), cut, details, traits, tuple(_tags(size, halves, fitted=fitted)))

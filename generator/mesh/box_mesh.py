@@ -6,7 +6,6 @@ A seam along a line turns no cloth over: there panels lie on each other.
 """
 
 import logging
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +14,7 @@ import shapely
 import shapely.ops
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from gcd_dataset.curves import reflection, sample_curve, signed_area
 from gcd_dataset.errors import MeshError
@@ -62,43 +61,23 @@ def turned_over(names: Sequence[str], areas: Float[np.ndarray, " p"], seams: Seq
     Of each set of connected panels the part with the larger area (``areas``, flat) stays right side out. A one-sided
     band (a Möbius strip) cannot satisfy all of its seams: at least one joins faces of opposite windings.
     """
-    number = {name: row for row, name in enumerate(names)}
-    beside: list[list[tuple[int, bool]]] = [[] for _ in names]
-    for seam in seams:
-        left, right = number[seam.left.panel], number[seam.right.panel]
-        beside[left].append((right, seam.right_wrong))
-        beside[right].append((left, seam.right_wrong))
     turned = np.zeros(len(names), bool)
     if not any(seam.right_wrong for seam in seams):
         return turned
-    seen = np.zeros(len(names), bool)
-    for first in range(len(names)):
-        if seen[first]:
-            continue
-        connected = _orient_connected(first, beside, turned, seen)
+    number, turns = {name: row for row, name in enumerate(names)}, dict[tuple[int, int], bool]()
+    for seam in seams:
+        left, right = number[seam.left.panel], number[seam.right.panel]
+        turns[left, right] = turns[right, left] = turns.get((left, right), seam.right_wrong)
+    graph = coo_array((np.ones(len(turns)), np.transpose(list(turns))), shape=(len(names), len(names))).tocsr()
+    waiting = set(range(len(names)))
+    while waiting:
+        connected, before = breadth_first_order(graph, min(waiting), directed=False)
+        for panel in connected[1:].tolist():
+            turned[panel] = turned[before[panel]] != turns[int(before[panel]), panel]
         if areas[connected][turned[connected]].sum() > areas[connected][~turned[connected]].sum():
             turned[connected] = ~turned[connected]
+        waiting -= set(connected.tolist())
     return turned
-
-
-def _orient_connected(
-    first: int,
-    beside: Sequence[Sequence[tuple[int, bool]]],
-    turned: Bool[np.ndarray, " p"],
-    seen: Bool[np.ndarray, " p"],
-) -> list[int]:
-    """The panels connected to ``first``; sets ``turned`` of each relative to it, and ``seen``."""
-    found, waiting = [], deque([first])
-    seen[first] = True
-    while waiting:
-        panel = waiting.popleft()
-        found.append(panel)
-        for other, turns in beside[panel]:
-            if not seen[other]:
-                seen[other] = True
-                turned[other] = turned[panel] != turns
-                waiting.append(other)
-    return found
 
 
 log = logging.getLogger(__name__)
@@ -329,10 +308,7 @@ def _consistent_corners(panels: _MeshedPanels, pattern: Pattern) -> Int[np.ndarr
 
 
 def _in_order(corners: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
-    """The faces sorted, each from its least corner: panel by panel, and small when stored.
-
-    No two faces share their first two corners in the same order.
-    """
+    """The faces sorted, each from its least corner: panel by panel, and small when stored."""
     a, b, c = np.ascontiguousarray(corners.T)
     first = np.minimum(np.minimum(a, b), c)
     second = np.where(a == first, b, np.where(b == first, c, a))
@@ -405,10 +381,7 @@ def _require_faces(
 def _labels(
     pattern: Pattern, edges: Mapping[EdgeRef, Int[np.ndarray, " n"]], vertex: Int[np.ndarray, " c"]
 ) -> dict[str, Int[np.ndarray, " n"]]:
-    """Vertices by edge label: all vertices of a labelled seam, the inner vertices of a labelled free edge.
-
-    Raises ``MeshError`` for a seam whose sides have different labels.
-    """
+    """Vertices by edge label: of a free edge the inner ones alone. Raises ``MeshError`` for contradictory labels."""
     label_of: dict[EdgeRef, str] = {
         EdgeRef(panel.name, index): edge.label for panel in pattern.panels for index, edge in enumerate(panel.edges)
     }

@@ -7,7 +7,7 @@
 ([28.0, 28.0], 2380.0)
 """
 
-from math import atan2, hypot, pi, sqrt
+from math import atan2, hypot, sqrt
 
 from gcd_dataset.curves import Point
 from gcd_dataset.errors import PatternError
@@ -46,7 +46,7 @@ def cut_into(outline: Outline, edge: str, shape: tuple[Stroke, ...], *, at: floa
     first, last = _mouth(stroke, at, mouth)
     before, under, after = stroke.split_at([first, last])
     if outline.area < 0:  # drawn clockwise: the inside lies to the right
-        shape = tuple(_upside_down(side) for side in shape)
+        shape = tuple(side.upside_down() for side in shape)
     return outline.with_strokes((stroke,), (before, *_aligned(shape, under), after))
 
 
@@ -63,7 +63,7 @@ def cut_end(outline: Outline, edge: str, shape: tuple[Stroke, ...], *, last: boo
     else:
         under, rest = stroke.split_at([_chord_parameter(stroke, mouth)])
     if outline.area < 0:
-        shape = tuple(_upside_down(side) for side in shape)
+        shape = tuple(side.upside_down() for side in shape)
     cut = _aligned(shape, under)
     return outline.with_strokes((stroke,), (rest, *cut) if last else (*cut, rest))
 
@@ -160,8 +160,3 @@ def _aligned(shape: tuple[Stroke, ...], under: Stroke) -> tuple[Stroke, ...]:
     """The shape turned and moved onto the part of an edge that it replaces."""
     angle = atan2(under.chord[1], under.chord[0])
     return chain_from(under.start, *(side.rotated(angle) for side in shape))
-
-
-def _upside_down(stroke: Stroke) -> Stroke:
-    """The mirror image about the x axis."""
-    return stroke.mirrored().rotated(pi)

@@ -201,6 +201,10 @@ class Stroke:
         start, end = (-self.start[0], self.start[1]), (-self.end[0], self.end[1])
         return self._drawn(start, end, mirrored(self.curve))
 
+    def upside_down(self) -> Self:
+        """The mirror image about the x axis, drawn in the same order."""
+        return self.mirrored().rotated(pi)
+
     def moved(self, by: Point) -> Self:
         """Shifted by a vector [cm]."""
         start, end = _shift(self.start, by), _shift(self.end, by)

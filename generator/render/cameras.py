@@ -14,6 +14,7 @@ FILM = 24.0  # mm; height of a frame of 35 mm film, for which focal lengths are 
 FIXED_DISTANCE = 520.0  # cm from a fixed camera to the centre of the scene
 FACING = {"front": (0.0, 0.0, 1.0), "side": (1.0, 0.0, 0.0), "back": (0.0, 0.0, -1.0)}
 """Direction to each fixed camera; the side is the wearer's left."""
+EYE_ABOVE_FLOOR = 10.0  # cm; a camera on the floor would look through it
 FIXED_MARGIN = 1.04  # width of its field of view over the larger side of the box round the scene
 
 
@@ -136,11 +137,6 @@ def fixed_camera(scene: Scene, side: str = "front") -> Camera:
     focal = (FIXED_DISTANCE - 0.5 * float(np.abs(facing) @ (high - low))) / width
     middle = 0.5 * (low + high)
     return look_at(middle + FIXED_DISTANCE * facing, middle, focal=focal)
-
-
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-EYE_ABOVE_FLOOR = 10.0  # cm; a camera on the floor would look through it
 
 
 def _cross(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

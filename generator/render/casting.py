@@ -208,9 +208,6 @@ class PendingPictures:
         return list(outputs.values())
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 def _marked_points(scene: Scene, view: View) -> Float[np.ndarray, "n 3"]:
     """Panel corners, landmarks, then key points, each ``REACH`` nearer to the camera [cm]."""
     corners = scene.vertices[scene.uv_vertex[scene.corner_rows]]

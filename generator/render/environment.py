@@ -178,8 +178,6 @@ def white_balance(
     return gains, gains * light
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
 RED_PER_MIRED, BLUE_PER_MIRED = 0.0036, -0.0075
 
 

@@ -119,9 +119,6 @@ def vertex_normals(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 @cache
 def _model_body() -> Body:
     from gcd_dataset.generator.body import build_body, neutral_shape

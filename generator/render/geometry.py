@@ -85,9 +85,6 @@ def panel_borders(scene: Scene) -> PanelBorders:
     return PanelBorders(ends[order], seam[order], along[order], first, flags)
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 def _border_edges(
     corners: Int[np.ndarray, "f 3"], rows: int
 ) -> tuple[Int[np.ndarray, " b"], Int[np.ndarray, " b"], Int[np.ndarray, "b 2"]]:

@@ -284,8 +284,6 @@ def parts_of(scene: Scene) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]
     return garment.reshape(-1), np.array(parts, int)
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
 UPPER, SLEEVE, TRIM, LOWER = range(4)
 NAMES_OF_PARTS = (
     (TRIM, re.compile(r"wb_|cuff|collar|hood|lapel|band|belt")),

@@ -106,9 +106,6 @@ def skin_albedo(colour: RGB) -> Float[np.ndarray, "3"]:
     return warm * ((SKIN_FLOOR + SKIN_SPAN * luminance) / float(LUMINANCE @ warm))
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 def _cloth_rows(look: Appearance, scene: Scene) -> Int[np.ndarray, " p"]:
     if len(look.cloth_of_panel) != len(scene.panel_names):
         raise ConfigError(

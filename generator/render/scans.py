@@ -22,6 +22,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float, Float32, Int, Int32
 from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.device import launch_lock, to_host
@@ -147,9 +148,6 @@ class Ranger:
         return wp.array(np.asarray(values, np.float32), dtype=dtype, device=self.device)
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 def _faces(scene: Scene) -> Int[np.ndarray, "m 3"]:
     return np.concatenate([scene.faces, scene.body.faces + len(scene.vertices)])
 
@@ -245,9 +243,6 @@ def measure(
     return depth + noise.sigma * axial, source
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 def _well_lit(
     image: RangeImage,
     noise: DepthNoise,
@@ -279,10 +274,7 @@ def _holes(
 
 
 def _shifted(true: Float[np.ndarray, "h w"], shifts: Float[np.ndarray, "2 h w"]) -> Int[np.ndarray, "h w"]:
-    """The pixel that each pixel measures: one nearby across a depth edge, else itself.
-
-    Inside a surface a shift would add the slope to the depth's noise, which Nguyen et al. did not find.
-    """
+    """The pixel that each pixel measures: one nearby across a depth edge, else itself."""
     height, width = true.shape
     row, column = np.indices(true.shape)
     row = np.clip(row + np.rint(shifts[0]).astype(int), 0, height - 1)
@@ -431,9 +423,6 @@ def scan(
     )
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 def _measured(
     ranger: Ranger, image: RangeImage, number: int, noise: DepthNoise, rng: np.random.Generator, *, body: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -444,21 +433,11 @@ def _measured(
     kept = np.isfinite(depth) & ((panel >= 0) | body)
     points = image.positions(np.where(kept, depth, 0.0))[kept]
     if number:
-        rotation = _rotation(np.radians(noise.rotation) * turn)
+        rotation = Rotation.from_rotvec(np.radians(noise.rotation) * turn).as_matrix()
         middle = image.scene.vertices.mean(axis=0)
         points = (points - middle) @ rotation.T + middle + noise.shift * shift
     normals = image.normals.reshape(-1, 3)[source[kept]]
     return points, normals, panel[kept], np.full(len(points), number)
-
-
-def _rotation(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation about a vector by its length [rad]: Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
 
 
 def _choice(rng: np.random.Generator, available: int, wanted: int) -> Int[np.ndarray, " n"]:

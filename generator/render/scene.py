@@ -149,8 +149,6 @@ def scene_of_sample(sample: Sample, body: Body, *, hair: HairStyle = HairStyle.N
     return scene if sample.maps is None else replace(scene, values=sample.maps.by_vertex)
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
 NEAR = 1e-2  # cm; a row of ``uv`` nearer than this to a panel corner is that corner: specifications round to 1e-3 cm
 
 

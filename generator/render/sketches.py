@@ -33,8 +33,10 @@ from gcd_dataset.generator.render.strokes import (
     cracks,
     dashed,
     draw_strokes,
+    lengths_along,
     level_lines,
     linked,
+    points_at,
     smoothed,
     valleys,
 )
@@ -213,8 +215,6 @@ class _Lines:
             lines += [run for run in runs if strength[_at(run, strength.shape)].max() > FOLD_PEAK]
         return [_tapered(stroke) for stroke in self._strokes("fold", lines)]
 
-    # ----------------------------------------------------------------------------------------------------- helpers
-
     def _jump_lines(self, surface: Bool[np.ndarray, "h w"]) -> list[np.ndarray]:
         """Lines along which the depth of a surface jumps: by ``LEAST_JUMP`` all along, by ``JUMP`` in places."""
         both = surface[:, :-1] & surface[:, 1:], surface[:-1] & surface[1:]
@@ -288,9 +288,6 @@ class _Lines:
         return -mean @ self.image.camera.rotation[2], known
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 def _range_image(scene: Scene, camera: Camera, style: SketchStyle, device: str) -> RangeImage:
     scene = scene if style.body else replace(scene, body=NOBODY)
     if not len(scene.faces):
@@ -313,10 +310,7 @@ def _differ(mask: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _jumps(image: RangeImage, turned: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
-    """How far each of two neighbours, across and down, lies off the other's tangent plane [cm].
-
-    Infinite between the two sides of the cloth.
-    """
+    """How far each of two neighbours lies off the other's tangent plane [cm]; infinite between both sides."""
     place, normal = image.positions(), image.normals
     jumps = []
     for a, b in (((slice(None), slice(None, -1)), (slice(None), slice(1, None))), (slice(None, -1), slice(1, None))):
@@ -352,9 +346,8 @@ def _runs(line: Float[np.ndarray, "n d"], kept: Bool[np.ndarray, " n"], *, gap: 
 
 
 def _resampled(line: Float[np.ndarray, "n 3"], spacing: float) -> Float[np.ndarray, "m 3"]:
-    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
-    at = np.linspace(0.0, along[-1], max(2, round(float(along[-1]) / spacing)))
-    return np.stack([np.interp(at, along, line[:, k]) for k in range(3)], axis=1)
+    along = lengths_along(line)
+    return points_at(line, along, np.linspace(0.0, along[-1], max(2, round(float(along[-1]) / spacing))))
 
 
 def _uv_at(image: RangeImage, pixels: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "n 2"]:

@@ -58,7 +58,7 @@ def draw_strokes(
 
 def dashed(stroke: SketchLine, dash: float, gap: float) -> list[SketchLine]:
     """The stroke in dashes of equal length, as shares of the picture; begins and ends with a dash."""
-    along = _along(stroke.points)
+    along = lengths_along(stroke.points)
     count = max(1, round((along[-1] + gap) / (dash + gap)))
     scale = along[-1] / (count * dash + (count - 1) * gap)
     starts = np.arange(count) * (dash + gap) * scale
@@ -198,14 +198,14 @@ def linked(lines: Sequence[Float[np.ndarray, "n 2"]], reach: float, *, over: int
     return _joined(lines, partner)
 
 
-def smoothed(line: Float[np.ndarray, "n 2"], sigma: float, *, spacing: float = 1.0) -> Float[np.ndarray, "n 2"]:
-    """A polyline resampled at ``spacing`` and smoothed over ``sigma``, both in pixels; open ends stay in place."""
-    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+def smoothed(line: Float[np.ndarray, "n 2"], sigma: float) -> Float[np.ndarray, "n 2"]:
+    """A polyline resampled at each pixel and smoothed over ``sigma`` pixels; open ends stay in place."""
+    length = lengths_along(line)
     if length[-1] == 0.0:
         return line[:1]
-    steps = max(2, round(float(length[-1]) / spacing))
+    steps = max(2, round(float(length[-1])))
     at = np.linspace(0.0, length[-1], steps + 1)
-    even = np.stack([np.interp(at, length, line[:, k]) for k in range(2)], axis=1)
+    even = points_at(line, length, at)
     width = min(sigma, 0.15 * float(length[-1])) / (float(length[-1]) / steps)
     if (line[0] == line[-1]).all():
         ring = gaussian_filter1d(even[:-1], width, axis=0, mode="wrap")
@@ -216,12 +216,9 @@ def smoothed(line: Float[np.ndarray, "n 2"], sigma: float, *, spacing: float = 1
     return gaussian_filter1d(np.concatenate([before, even, after]), width, axis=0)[pad : pad + steps + 1]
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 def _stamp(ink: Float[np.ndarray, " p"], stroke: SketchLine, size: int) -> None:
     """Raise ``ink`` to the stroke's coverage of each pixel: a disc at every ``STEP`` along the line."""
-    along = _along(stroke.points) * size
+    along = lengths_along(stroke.points) * size
     at = np.linspace(0.0, along[-1], max(2, math.ceil(along[-1] / STEP) + 1))
     x, y = (np.interp(at, along, stroke.points[:, k]) * size - 0.5 for k in range(2))
     pressure = np.ones(len(at)) if stroke.pressure is None else np.interp(at, along, stroke.pressure)
@@ -239,8 +236,16 @@ def _stamp(ink: Float[np.ndarray, " p"], stroke: SketchLine, size: int) -> None:
     np.maximum.at(ink, (r * size + c)[inside], cover[inside])
 
 
-def _along(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+def lengths_along(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
+    """Length of a polyline up to each of its points."""
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+
+
+def points_at(
+    points: Float[np.ndarray, "n d"], along: Float[np.ndarray, " n"], lengths: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "m d"]:
+    """The points of a polyline at some lengths; ``along``: its ``lengths_along``."""
+    return np.stack([np.interp(lengths, along, values) for values in points.T], axis=1)
 
 
 def _cut(
@@ -248,8 +253,7 @@ def _cut(
 ) -> Float[np.ndarray, "m 2"]:
     """The part of a polyline between two lengths."""
     inner = (along > begin) & (along < end)
-    at = np.concatenate([[begin], along[inner], [end]])
-    return np.stack([np.interp(at, along, points[:, k]) for k in range(2)], axis=1)
+    return points_at(points, along, np.concatenate([[begin], along[inner], [end]]))
 
 
 CORNER = math.radians(40.0)  # a turn by more within ``TURN`` ends a piece
@@ -259,7 +263,7 @@ PIECE = (0.12, 0.5)  # shares of the picture; length of a piece, drawn from the 
 
 def _pieces(points: Float[np.ndarray, "n 2"], rng: np.random.Generator) -> list[Float[np.ndarray, "m 2"]]:
     """A line cut at its corners and into lengths that an arm draws in one move."""
-    along = _along(points)
+    along = lengths_along(points)
     cuts = [0.0]
     corners = _corners(points, along)
     while cuts[-1] < along[-1]:
@@ -272,11 +276,7 @@ def _pieces(points: Float[np.ndarray, "n 2"], rng: np.random.Generator) -> list[
 
 def _corners(points: Float[np.ndarray, "n 2"], along: Float[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:
     """Lengths at which the line turns sharply."""
-
-    def at(length: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
-        return np.stack([np.interp(length, along, points[:, k]) for k in range(2)], axis=1)
-
-    before, after = points - at(along - TURN), at(along + TURN) - points
+    before, after = points - points_at(points, along, along - TURN), points_at(points, along, along + TURN) - points
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     turn = np.abs(np.arctan2(cross, (before * after).sum(axis=1)))
     turn[(along < TURN) | (along > along[-1] - TURN)] = 0.0
@@ -287,9 +287,9 @@ def _corners(points: Float[np.ndarray, "n 2"], along: Float[np.ndarray, " n"]) -
 def _wavering(stroke: SketchLine, rng: np.random.Generator, shake: float) -> SketchLine:
     """The stroke, displaced by smooth noise, longer at both ends, with a pressure that begins and ends lightly."""
     points = _overshot(stroke.points, rng, min(0.006, 0.12 * stroke.length))
-    along = _along(points)
+    along = lengths_along(points)
     at = np.linspace(0.0, along[-1], max(4, math.ceil(along[-1] / 0.003)))
-    points = np.stack([np.interp(at, along, points[:, k]) for k in range(2)], axis=1)
+    points = points_at(points, along, at)
     slow, quick, press = (_smooth_noise(rng, len(at), reach) for reach in (40.0, 8.0, 20.0))
     tangent = np.gradient(points, axis=0)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)

@@ -215,9 +215,6 @@ def upload(arrays: dict[str, wp.array], first_vertex: list[int], first_face: lis
     return Uploaded(up, meshes, first_vertex)
 
 
-# ------------------------------------------------------------------------------------------------------------- helpers
-
-
 def _add_cloth(block: Block, scenes: Sequence[Scene]) -> None:
     borders = [panel_borders(scene) for scene in scenes]
     first_row = _starts(len(scene.uv) for scene in scenes)

@@ -6,9 +6,8 @@ import pytest
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator import Fitting, build_body, drape_jacobian, measure, real_parameters
 from gcd_dataset.generator.body import neutral_shape
-from gcd_dataset.generator.drape import drape_batch
 from gcd_dataset.generator.garments import design_from_dict
-from gcd_dataset.generator.jacobian import Carrier, mean_value_coordinates, moved
+from gcd_dataset.generator.jacobian import mean_value_coordinates, moved
 from gcd_dataset.records import EdgeRole
 
 BODY = build_body(neutral_shape())
@@ -23,18 +22,6 @@ def test_mean_value_coordinates_give_back_points_inside_and_on_the_outline() -> 
     weights = mean_value_coordinates(points, loop)
     assert np.allclose(weights @ loop, points, atol=1e-9)
     assert np.allclose(weights.sum(axis=1), 1)
-
-
-def test_material_points_of_another_cut() -> None:
-    """Its own drape is itself; of a longer skirt, waist and hem lie where that skirt has them."""
-    worn, longer = NEUTRAL.worn(SKIRT), NEUTRAL.worn(moved(SKIRT, {"pencil-skirt.length": 0.3}))
-    assert worn is not None and longer is not None
-    own, other = drape_batch([worn.job, longer.job], device="cpu")
-    carrier = Carrier.of(worn)
-    assert np.allclose(carrier.positions(worn, own), own.vertices, atol=1e-6)
-    carried = carrier.positions(longer, other)
-    assert carried[:, 1].min() == pytest.approx(other.vertices[:, 1].min(), abs=0.5)
-    assert carried[:, 1].max() == pytest.approx(other.vertices[:, 1].max(), abs=0.5)
 
 
 def test_a_hem_sinks_by_the_length_that_is_added() -> None:

@@ -8,9 +8,7 @@ import pytest
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.body.shape import (
-    MAX_DEVIATION,
     T_POSE,
-    Adults,
     adults_of,
     draw_from,
     named_shape,
@@ -80,15 +78,6 @@ def test_the_groups_draw_different_bodies_from_one_stream() -> None:
 def test_the_error_of_an_unknown_group_lists_the_known_ones() -> None:
     with pytest.raises(BodyError, match="'Female': give random, female, male, pooled"):
         draw_shape(rng(0, 0, Stage.BODY), group="Female")
-
-
-def test_weights_have_the_mean_and_axes_of_the_adults() -> None:
-    axes = np.diag([2.0, 0.5, 1.0])
-    adults, generator = Adults(np.array([1.0, -2.0, 0.0]), axes), np.random.default_rng(0)
-    drawn = np.array([weights_of(adults, generator.standard_normal(3)) for _ in range(2000)])
-    assert drawn.mean(axis=0) == pytest.approx(adults.mean, abs=0.1)
-    assert np.cov(drawn.T) == pytest.approx(axes**2, abs=0.2)
-    assert (np.abs(drawn - adults.mean) <= MAX_DEVIATION * np.diag(axes) + 1e-12).all()
 
 
 def test_adults_stay_within_the_range_of_the_model() -> None:

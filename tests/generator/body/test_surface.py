@@ -19,8 +19,6 @@ from gcd_dataset.generator.body.section import (
 )
 from gcd_dataset.generator.body.surface import SkinSurface, refine
 from gcd_dataset.generator.body.tailor import larger_thigh, over_back
-from gcd_dataset.records import Body
-from tests.helpers import body_from
 
 
 def torus() -> trimesh.Trimesh:
@@ -119,10 +117,6 @@ def test_an_empty_scan_is_an_error() -> None:
         BodyScan.of(np.zeros((3, 3)), np.array([[0, 1, 3]]), "flat")
 
 
-def ball(radius: float) -> Body:
-    return body_from(trimesh.creation.icosphere(subdivisions=1, radius=radius))
-
-
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_a_refined_closed_mesh_stays_closed_and_keeps_its_vertices(share: float) -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
@@ -134,13 +128,6 @@ def test_a_refined_closed_mesh_stays_closed_and_keeps_its_vertices(share: float)
     assert finer.volume == pytest.approx(ball.volume, rel=0.02)
     assert np.abs(finer.vertices[: len(ball.vertices)] - ball.vertices).max() < 0.1
     assert len(faces) >= len(ball.faces) + 3 * marked.sum()
-
-
-def test_every_new_vertex_is_a_weighted_mean() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=2)
-    matrix, _ = refine(np.asarray(ball.faces), np.ones(len(ball.faces), bool), len(ball.vertices))
-    assert matrix @ np.ones(len(ball.vertices)) == pytest.approx(np.ones(matrix.shape[0]))
-    assert matrix.shape[0] == len(ball.vertices) + len(ball.edges_unique)
 
 
 def test_a_flat_sheet_is_refined_evenly() -> None:
@@ -206,14 +193,6 @@ def test_half_a_circle_is_clipped_from_a_circle() -> None:
     half = clipped(cut, (0.0, 0.0, 1.0), np.array([0.0, 0.0, 0.001]))
     assert half[:, :, 2].min() >= 0.001 - 1e-12
     assert contour_length(half) == pytest.approx(np.pi * 5.0, abs=0.01)
-
-
-def test_a_geodesic_of_a_ball() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=10.0)
-    start, end = int(ball.vertices[:, 1].argmax()), int(ball.vertices[:, 0].argmax())
-    angle = np.arccos(ball.vertices[start] @ ball.vertices[end] / 100.0)
-    graph = GeodesicGraph.over(np.asarray(ball.faces), start, end, points_per_edge=3)
-    assert graph.length(ball.vertices) == pytest.approx(10.0 * angle, rel=0.005)
 
 
 def test_a_path_over_a_flat_sheet_is_straight_across_edges() -> None:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
-from gcd_dataset.generator.drape.body_field import body_field, body_fields, host_field
+from gcd_dataset.generator.drape.body_field import body_field, host_field
 from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.model import INERTIA_GAIN, build_model
 from gcd_dataset.generator.drape.outcome import untangle
@@ -59,22 +59,6 @@ def test_the_field_of_a_ball_is_the_distance_to_it(radius: float) -> None:
     near = expected < 3.0
     assert np.abs(values - expected)[near].max() < 0.02 * radius
     assert (values[~near] > 2.5).all()
-
-
-def test_each_of_several_bodies_has_its_own_field() -> None:
-    """Boxes of different shape, one of them twice; the distance to a box is known at every voxel."""
-    extents = ((3.0, 70.0, 4.0), (41.0, 2.3, 23.0), (31.0, 30.0, 29.0))
-    bodies = [body_from(trimesh.creation.box(extents).subdivide().subdivide()) for extents in extents]
-    together = body_fields([*bodies, bodies[0]], "cpu")
-    assert together[3] is together[0]
-    for body, field in zip(bodies, together, strict=False):
-        low, high = field.origin, np.add(field.origin, np.subtract(field.distance.shape, 1))
-        assert (low < body.vertices.min(axis=0) - 4.0).all()
-        assert (high > body.vertices.max(axis=0) + 4.0).all()
-        at = np.stack(np.meshgrid(*(np.arange(n) for n in field.distance.shape), indexing="ij"), axis=-1) + low
-        off = np.abs(at) - np.ptp(body.vertices, axis=0) / 2
-        expected = np.linalg.norm(np.maximum(off, 0.0), axis=-1) + np.minimum(off.max(axis=-1), 0.0)
-        assert np.abs(field.distance.numpy() - np.minimum(expected, 4.0)).max() < 1e-3
 
 
 def test_a_body_without_a_field_fails_every_time() -> None:
@@ -373,15 +357,6 @@ def test_a_garment_gets_the_same_bytes_alone_and_in_a_batch() -> None:
     assert still.tobytes() == np.float32(clean().box_mesh.vertices).tobytes()
     assert (alone != np.float32(pierced().box_mesh.vertices)).any()
     assert all(x.tobytes() == alone.tobytes() for x in moved)
-
-
-def test_untangling_never_adds_crossings() -> None:
-    solver = solver_of(pierced())
-    before = solver.self_crossings()[0]
-    for steps in (1, 2, 5):
-        solver = Solver(solver.model, DrapeConfig(untangling_steps=steps))
-        waited(untangle(solver, np.ones(1, bool)))
-        assert solver.self_crossings()[0] <= before
 
 
 def test_pushes_of_crossings_sum_to_zero() -> None:

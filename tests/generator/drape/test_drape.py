@@ -496,7 +496,6 @@ def test_edges_of_a_spike_through_cloth_are_counted() -> None:
     solver = Solver(build_model(jobs, DrapeConfig(), "cpu"), DrapeConfig())
     assert solver.body_crossings().tolist() == [0, 0]
     assert solver.body_through().tolist() == [0, 3]
-    assert solver.body_through(np.array([True, False])).tolist() == [0, 0]
 
 
 def test_internal_parts_and_lids_do_not_count_as_skin_through_cloth() -> None:

@@ -15,8 +15,7 @@ from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.sleeve import SleeveDesign
 from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
 from gcd_dataset.records import Outcome
-from tests.generator.drape.garments import LIMBS, SIDES, Axis, Worn, neutral, rims, stouter, wear
-from tests.helpers import tube
+from tests.generator.drape.garments import Axis, Worn, neutral, stouter, wear
 
 ARMS = ("left arm", "right arm")
 
@@ -31,28 +30,6 @@ BOTTOMS = {
     ),
     "trousers": GarmentDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.5)),
 }
-
-
-def test_winding_and_piercing_of_a_tube() -> None:
-    """A rim winds once round the tube's axis, not round a line beside it; an oblique line pierces the wall."""
-    cloth = tube(12, 6, radius=4.0, spacing=2.0)
-    upper, lower = rims(cloth.faces)
-    assert len(upper) == len(lower) == 12
-    inside, beside = (Axis(np.array([x, 20.0, 0.0]), np.array([x, -5.0, 0.0])) for x in (1.0, 6.0))
-    oblique = Axis(np.array([0.0, 6.0, 0.0]), np.array([20.0, 5.0, 0.3]))
-    for rim in (upper, lower):
-        assert (inside.winding(cloth.vertices[rim]), beside.winding(cloth.vertices[rim])) == (1, 0)
-    triangles = cloth.vertices[cloth.faces]
-    assert [axis.pierces(triangles) for axis in (inside, beside, oblique)] == [0, 0, 1]
-
-
-def test_axes_follow_the_arms() -> None:
-    body, _ = neutral()
-    for arm in ARMS:
-        axis = Axis.of(body, arm)
-        skin = body.vertices[body.parts == LIMBS[arm].value]
-        assert 0.0 < axis.share(skin).min() + 1e-6 < axis.share(skin).max() < 0.9  # the rest is the hand
-        assert np.sign(axis.end[0]) == SIDES[arm.split()[0]]
 
 
 def test_arms_are_not_under_a_loose_shirt() -> None:

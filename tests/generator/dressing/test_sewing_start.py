@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.body.limbs import Limb, leg_of, limbs_of
-from gcd_dataset.generator.dressing.flat_cloth import FlatCloth
 from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, LEG_GAP, SLICE, sewing_start
 from gcd_dataset.generator.dressing.skirt_on_cone import Skirt
 from gcd_dataset.generator.dressing.tube_on_limb import put_on_limb, roll_round_limb
@@ -407,41 +406,3 @@ def test_sleeve_of_two_panels_is_left_alone(mesh: BoxMesh) -> None:
     placed = np.array(mesh.vertices, float)
     assert not roll_round_limb(mesh, everything, arm(4.0), placed)
     assert np.array_equal(placed, mesh.vertices)
-
-
-def strip() -> tuple[BoxMesh, FlatCloth]:
-    """A strip of 12 cm by 5 cm."""
-    mesh = patch(12, 5)
-    return mesh, FlatCloth.of(mesh, np.ones(len(mesh.faces), bool))
-
-
-def test_a_harmonic_function_between_the_ends_of_a_strip_is_linear_and_keeps_the_bounds_of_its_border() -> None:
-    """Up to 0.003: the cotangent weights of right angles are 0, and are raised to ``LEAST_WEIGHT``."""
-    mesh, cloth = strip()
-    along = mesh.uv[:, 0]
-    ends = np.flatnonzero((along == along.min()) | (along == along.max()))
-    values = cloth.harmonic(ends, (along[ends] > along.mean()).astype(float))
-    assert values == pytest.approx((along - along.min()) / np.ptp(along), abs=0.003)
-    _, cloth = strip()
-    border = cloth.border
-    assert len(border) == 2 * (12 + 5)
-    values = cloth.harmonic(border, np.sin(np.arange(len(border))))
-    assert np.abs(values).max() == pytest.approx(np.abs(np.sin(np.arange(len(border)))).max())
-
-
-def test_distances_run_along_edges() -> None:
-    mesh, cloth = strip()
-    corner = int(np.argmin(mesh.uv.sum(axis=1)))
-    distance = cloth.distance_from(np.array([corner]))
-    straight = np.linalg.norm(mesh.uv - mesh.uv[corner], axis=1)
-    assert (distance >= straight - 1e-9).all()
-    on_side = mesh.uv[:, 1] == mesh.uv[corner, 1]
-    assert distance[on_side] == pytest.approx(straight[on_side])
-    assert cloth.area == pytest.approx(60.0)
-
-
-def test_the_ways_to_a_straight_edge_are_at_right_angles_to_it() -> None:
-    mesh, cloth = strip()
-    top = np.flatnonzero(mesh.uv[:, 1] == mesh.uv[:, 1].max())
-    ways = cloth.towards(top)[np.isin(cloth.faces, top).any(axis=1)]
-    assert ways == pytest.approx(np.tile([0.0, 1.0], (len(ways), 1)), abs=0.02)

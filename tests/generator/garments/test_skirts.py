@@ -1,23 +1,16 @@
 """Skirts: girths, lengths and seams computed from the measures."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from math import hypot, isclose, pi, radians, sqrt, tan
-from typing import Any
 
 import numpy as np
 import pytest
 
 from gcd_dataset.curves import Arc, curve_length
 from gcd_dataset.errors import BodyError, PatternError
-from gcd_dataset.generator.body import build_body, draw_shape, measure
-from gcd_dataset.generator.garments import design_from_dict, draw_garment
-from gcd_dataset.generator.garments.assembly import bottom_rise
-from gcd_dataset.generator.garments.design import GarmentDesign, MetaDesign
 from gcd_dataset.generator.garments.garment import Cutting
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign, pencil_skirt
-from gcd_dataset.generator.garments.space import draw
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.records import Measurements
 from tests.generator.garments.measured import BOTH, ends, errors, length, lengths, skirt
@@ -71,15 +64,6 @@ def test_a_pencil_skirt_goes_round_the_hips_and_its_darts_take_it_in_to_the_wais
     assert length(pattern.panel("skirt_back"), "top") == pytest.approx(wearer.waist_back_width)
 
 
-def test_the_legs_of_each_dart_match(woman: Measurements) -> None:
-    back = skirt(woman, Bottom.PENCIL, {}).panel("skirt_back")
-    for number in range(4):
-        assert length(back, f"dart_{number}.0") == pytest.approx(length(back, f"dart_{number}.1"))
-    outer, inner = length(back, "dart_0.0"), length(back, "dart_1.0")
-    assert inner == pytest.approx(0.9 * woman.hips_line)
-    assert outer == pytest.approx(0.9 * inner)
-
-
 def test_a_waist_over_the_hips_needs_no_darts(woman: Measurements) -> None:
     barrel = replace(woman, waist=woman.hips + 6, waist_back_width=woman.hip_back_width + 3)
     pattern = skirt(barrel, Bottom.PENCIL, {})
@@ -92,17 +76,6 @@ def test_flare_scales_the_hem_of_a_pencil_skirt(woman: Measurements, flare: floa
     pattern = skirt(woman, Bottom.PENCIL, {"pencil-skirt": {"flare": flare, "length": 0.6}})
     assert lengths(pattern, "bottom") == pytest.approx(flare * woman.hips)
     assert not errors(pattern)
-
-
-def test_a_flared_side_reaches_the_hips_upright(woman: Measurements) -> None:
-    front = skirt(woman, Bottom.PENCIL, {"pencil-skirt": {"flare": 1.4, "length": 0.6}}).panel("skirt_front")
-    (index,) = (i for i, edge in enumerate(front.edges) if edge.name == "right")
-    (x, y), (hx, hy) = front.edge_ends(index)
-    (hip, hem) = ((x, y), (hx, hy)) if y > hy else ((hx, hy), (x, y))
-    quarter = 0.25 * 0.4 * woman.hips
-    assert hip[0] - hem[0] == pytest.approx(quarter)
-    assert hip[1] - hem[1] == pytest.approx(0.6 * woman.leg_length)
-    assert length(front, "right") > hypot(quarter, 0.6 * woman.leg_length)
 
 
 @pytest.mark.parametrize("angle", [-20, 15])
@@ -261,46 +234,6 @@ def test_an_impossible_cut_is_refused_with_the_parameter_to_change(woman: Measur
         skirt(woman, kind, sections)
 
 
-WEARABLE: dict[Bottom, Mapping[str, Any]] = {
-    Bottom.CIRCLE: {},
-    Bottom.ASYMMETRIC_CIRCLE: {"flare_skirt": {"cut": {"add": False}}},
-    Bottom.GATHERED: {},
-    Bottom.PANELS: {"flare_skirt": {"skirt_many_panels": {"panel_curve": 0.25}}},
-    Bottom.PENCIL: {"pencil_skirt": {"low_angle": 5}},
-    Bottom.GODET: {"pencil_skirt": {"length": 0.8, "low_angle": 0, "flare": 1.2}, "skirt": {"length": 0.8},
-                   "godet_skirt": {"insert_depth": 20, "insert_w": 20}},
-    Bottom.LEVELS: {"pencil_skirt": {"low_angle": 5}, "levels_skirt": {"num_levels": 2, "length": 0.6}},
-}  # fmt: skip
-
-
-def changed(design: Any, values: Mapping[str, Any]) -> Any:
-    """The design with some values replaced, at any depth."""
-    new = {k: changed(getattr(design, k), v) if isinstance(v, Mapping) else v for k, v in values.items()}
-    return replace(design, **new)
-
-
-@pytest.mark.parametrize("mends", [ALL_MENDS, frozenset()], ids=["mended", "as GarmentCode"])
-@pytest.mark.parametrize("kind", WEARABLE)
-def test_random_skirts_on_random_bodies_can_be_sewn(kind: Bottom, mends: frozenset[Mend]) -> None:
-    rng = np.random.default_rng(list(Bottom).index(kind))
-    for _ in range(2):
-        size = measure(build_body(draw_shape(rng)))
-        for _ in range(6):
-            drawn = replace(draw(GarmentDesign, rng), meta=MetaDesign(None, None, kind))
-            pattern = draw_garment(size, changed(drawn, WEARABLE[kind]), mends=mends)
-            assert not errors(pattern)
-
-
-@pytest.mark.parametrize("kind", WEARABLE)
-def test_a_skirt_has_the_length_of_its_record(woman: Measurements, kind: Bottom) -> None:
-    design = replace(GarmentDesign(), meta=MetaDesign(None, None, kind))
-    told = kind.garment.length(woman, design, bottom_rise(design))
-    heights = [panel.placement.apply(panel.vertices)[:, 1] for panel in draw_garment(woman, design).panels]
-    assert told > woman.hips_line
-    if kind in (Bottom.GATHERED, Bottom.PENCIL, Bottom.PANELS):
-        assert max(h.max() for h in heights) - min(h.min() for h in heights) == pytest.approx(told, abs=1.5)
-
-
 GODETS = [
     {"insert_w": 15, "insert_depth": 20, "num_inserts": 4, "cuts_distance": 5},
     {"insert_w": 10, "insert_depth": 10, "num_inserts": 4, "cuts_distance": 0},  # the side is too short: shallow cuts
@@ -397,9 +330,6 @@ def test_base_and_levels_together_have_the_requested_length(woman: Measurements,
     levels = [length(pattern.panel(f"skirt_front_{i}"), "right") for i in range(3)]
     assert levels == pytest.approx([0.6 * 0.8 * woman.leg_length / 3] * 3)
     assert base_side == pytest.approx(woman.hips_line + 0.4 * 0.8 * woman.leg_length, rel=0.01)
-    design = design_from_dict({"meta": {"upper": None, "bottom": "SkirtLevels"}, **straight})
-    told = Bottom.LEVELS.garment.length(woman, design, bottom_rise(design))
-    assert told == pytest.approx(woman.hips_line + 0.8 * woman.leg_length)
 
 
 def test_levels_of_garmentcode_mix_the_hem_with_the_hips(woman: Measurements) -> None:

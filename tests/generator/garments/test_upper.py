@@ -24,9 +24,6 @@ def labels(pattern: Pattern, panel: str) -> set[str]:
     return {edge.label for edge in pattern.panel(panel).edges} - {""}
 
 
-# -------------------------------------------------------------------------------------------------------------- shirts
-
-
 def test_a_shirt_is_as_wide_as_the_bust_and_as_long_as_asked(woman: Measurements) -> None:
     design = design_from_dict({"meta": SHIRT, "shirt": {"width": 1.1, "flare": 1.0, "length": 1.3}})
     pattern = draw_garment(woman, design)
@@ -66,21 +63,6 @@ def test_a_fitted_shirt_closes_around_the_waist(wearer: Measurements) -> None:
     assert lengths(pattern, "bottom", fronts) == pytest.approx(wearer.waist - wearer.waist_back_width)
     # The back's waist is curved, and so a little longer than a straight line.
     assert lengths(pattern, "bottom", backs) == pytest.approx(wearer.waist_back_width, rel=0.02)
-
-
-def test_the_legs_of_every_dart_are_sewn_to_each_other(wearer: Measurements) -> None:
-    pattern = draw_garment(wearer, design_from_dict({"meta": FITTED}))
-    for name in TORSOS:
-        panel = pattern.panel(name)
-        legs = {
-            (panel.edges[s.left.edge].name, panel.edges[s.right.edge].name)
-            for s in pattern.seams
-            if s.left.panel == s.right.panel == name
-        }
-        darts = ("waist_dart", "side_dart") if "ftorso" in name else ("outer_dart", "inner_dart")
-        assert legs == {(f"{dart}.0", f"{dart}.1") for dart in darts}
-        for dart in darts:
-            assert edge_lengths(panel, f"{dart}.0") == pytest.approx(edge_lengths(panel, f"{dart}.1"))
 
 
 def test_the_side_dart_points_at_the_bust(woman: Measurements) -> None:
@@ -190,20 +172,6 @@ def test_an_uneven_shirt_is_drawn_from_both_designs(woman: Measurements) -> None
 def test_an_uneven_top_wears_no_collar(woman: Measurements) -> None:
     values = {"meta": SHIRT, "collar": {"component": {"style": "Turtle"}}, "left": {"enable_asym": True}}
     assert not any("collar" in panel.name for panel in draw_garment(woman, design_from_dict(values)).panels)
-
-
-@pytest.mark.parametrize("upper_kind", ["Shirt", "FittedShirt"])
-def test_the_hem_goes_round_the_wearer(woman: Measurements, upper_kind: str) -> None:
-    pattern = draw_garment(woman, design_from_dict({"meta": {"upper": upper_kind, "wb": "StraightWB"}}))
-    sewn = {
-        (seam.left.panel, seam.right.panel) for seam in pattern.seams if seam.right.panel.startswith("wb_")
-    }  # fmt: skip
-    assert {pair for pair in sewn if "torso" in pair[0]} == {
-        ("right_ftorso", "wb_front"),
-        ("left_ftorso", "wb_front"),
-        ("right_btorso", "wb_back"),
-        ("left_btorso", "wb_back"),
-    }
 
 
 CAP = 0.1  # cm between a cap without its gathers and the armhole

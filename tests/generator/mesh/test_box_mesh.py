@@ -60,16 +60,6 @@ def patchwork() -> Pattern:
     )
 
 
-def test_a_disc_has_its_area() -> None:
-    """Two half circles: πr² minus the segments between border chords and circle."""
-    half = Arc(15.0, large=False, right=True)
-    disc = panel("disc", [(15.0, 0.0), (-15.0, 0.0)], curves={0: half, 1: half})
-    mesh = build_box_mesh(sewn(disc), spacing=0.5)
-    n = 2 * np.ceil(np.pi * 15.0 / 0.5)
-    assert areas(mesh.uv, mesh.corners).sum() == pytest.approx(n / 2 * 15.0**2 * np.sin(2 * np.pi / n))
-    assert areas(mesh.uv, mesh.corners).sum() == pytest.approx(np.pi * 15.0**2, rel=2e-4)
-
-
 def test_a_flat_panel_starts_unstretched_where_it_is_placed() -> None:
     turned = panel("a", rectangle(12.0, 9.0), at=(1.0, 2.0, 3.0), turned=0.7)
     mesh = build_box_mesh(sewn(turned))

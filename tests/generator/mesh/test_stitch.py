@@ -10,7 +10,6 @@ from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.stitch import (
     SewnPoints,
     edge_counts,
-    mean_positions,
     merge_points,
     sample_border,
     stitch_points,
@@ -38,22 +37,6 @@ def test_points_are_equally_spaced_along_a_curve(curve: Curve) -> None:
     steps = np.linalg.norm(np.diff(border.points[border.edge(0)], axis=0), axis=1)
     assert steps == pytest.approx(steps.mean(), rel=2e-3)
     assert steps.mean() <= 0.25
-
-
-def test_the_points_of_an_arc_lie_on_its_circle() -> None:
-    quarter = panel("a", [(10.0, 0.0), (0.0, 10.0), (0.0, 0.0)], curves={0: Arc(10.0, large=False, right=True)})
-    border = sample_border(quarter, edge_counts(sewn(quarter), 1.0))
-    arc = border.points[border.edge(0)]
-    assert len(arc) == 17  # a quarter of 2π · 10 cm is 15.7
-    assert np.linalg.norm(arc, axis=1) == pytest.approx(10.0)
-
-
-def test_neighbouring_edges_share_their_corner() -> None:
-    square = panel("a", rectangle(10.0, 10.0))
-    border = sample_border(square, edge_counts(sewn(square), 1.0))
-    assert len(border.points) == 40
-    assert border.edge(0)[-1] == border.edge(1)[0] == 10
-    assert border.edge(3)[-1] == border.edge(0)[0] == 0
 
 
 def test_a_gathered_seam_has_the_points_of_its_longer_side() -> None:
@@ -115,39 +98,6 @@ def test_a_zip_joins_its_share_of_the_length_within_a_mesh_edge(closed: tuple[fl
     assert reached == pytest.approx(closed, abs=0.5 / 20)
     opened = replace(zipped, closure=Closure.OPEN)
     assert not len(stitch_points((opened,), [(left, right)]).left)
-
-
-def test_right_sides_meet_end_to_start_and_right_and_wrong_start_to_start() -> None:
-    sewn = stitch_points((seam(A, B),), [(points(0, 1, 2), points(5, 6, 7))])
-    assert list(zip(sewn.left.tolist(), sewn.right.tolist(), strict=True)) == [(0, 7), (1, 6), (2, 5)]
-    sewn = stitch_points((seam(A, B, right_wrong=True),), [(points(0, 1, 2), points(5, 6, 7))])
-    assert list(zip(sewn.left.tolist(), sewn.right.tolist(), strict=True)) == [(0, 5), (1, 6), (2, 7)]
-
-
-def test_seam_vertices_come_first_in_the_order_of_the_seams() -> None:
-    """Panel a has points 0-4, b 5-9; first 3, 4 are sewn to 9, 8, then 0, 1 to 6, 5."""
-    seams = (seam(A, B), seam(("a", 1), ("b", 1)))
-    sewn = stitch_points(seams, [(points(3, 4), points(8, 9)), (points(0, 1), points(5, 6))])
-    vertex = merge_points(sewn, np.repeat([0, 1], 5), seams)
-    assert vertex.tolist() == [2, 3, 4, 0, 1, 3, 2, 5, 1, 0]
-    assert sewn.seam.tolist() == [0, 0, 1, 1]
-
-
-def test_a_chain_of_seams_is_one_vertex() -> None:
-    """Four panels round one point: a-b, b-c and c-d are sewn, so d's corner is a's."""
-    seams = tuple(seam((left, 0), (right, 1)) for left, right in ("ab", "bc", "cd"))
-    sewn = stitch_points(
-        seams, [(points(0, 1), points(4, 3)), (points(3, 5), points(7, 6)), (points(6, 8), points(10, 9))]
-    )
-    vertex = merge_points(sewn, points(0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3), seams)
-    assert len(set(vertex[[0, 3, 6, 9]].tolist())) == 1
-    assert vertex.max() + 1 == 12 - 6
-
-
-def test_a_vertex_is_the_mean_of_its_points() -> None:
-    positions = np.array([(0, 0, 0), (4, 2, 0), (2, 1, 9), (7, 7, 7)], float)
-    assert mean_positions(positions, points(0, 0, 0, 1)) == pytest.approx(np.array([(2, 1, 3), (7, 7, 7)]))
-    assert merge_points(stitch_points((), []), np.zeros(4, int), ()).tolist() == [0, 1, 2, 3]
 
 
 def test_a_seam_that_closes_on_itself_is_an_error() -> None:

@@ -114,19 +114,6 @@ def test_a_gathered_edge_is_graded(gathered: float) -> None:
     assert areas(points, faces).sum() == pytest.approx(400.0)
 
 
-def test_the_mesh_scales_with_the_outline() -> None:
-    border = loop(star(4), 1.0)
-    seeds, faces = triangulate(border, 1.0)
-    larger, same = triangulate(2.0 * border, 2.0)
-    assert np.array_equal(faces, same)
-    assert larger == pytest.approx(2.0 * seeds, abs=1e-9)
-
-
-def test_a_disc_with_all_points_on_one_circle_is_filled() -> None:
-    """The first point inside lies in the circumcircles of all triangles over the border."""
-    assert_filled_once(circle(200.0, 1.0))
-
-
 def test_points_of_the_lattice_are_numbered_row_by_row() -> None:
     """Rows and places in them ascend: a stored mesh is half as large as with its points in the order of insertion."""
     seeds, _ = triangulate(loop(rectangle(30.0, 20.0), 1.0), 1.0)

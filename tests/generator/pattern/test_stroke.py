@@ -87,22 +87,10 @@ def test_a_slight_angle_keeps_the_control_point_near_its_start_on_the_chord() ->
         assert control[0] == pytest.approx(at, abs=0.005)
 
 
-def test_both_tangents_of_a_quarter_circle_cross_at_the_corner_of_its_square() -> None:
-    curve = tangent_quadratic((10.0, 0.0), (0.0, 10.0), start_tangent=UP, end_tangent=(-1.0, 0.0))
-    corner = Stroke((10.0, 0.0), (0.0, 10.0), curve).control_points()[1]
-    assert corner == pytest.approx((10.0, 10.0))
-
-
 @given(st.floats(-3, 3))
 def test_a_curve_turns_with_its_ends_and_tangent(angle: float) -> None:
     turned = tangent_quadratic(rotate(START, angle), rotate(END, angle), start_tangent=rotate(UP, angle))
     assert turned.control == pytest.approx(tangent_quadratic(START, END, start_tangent=UP).control, abs=1e-9)
-
-
-def test_a_mirrored_tangent_gives_the_mirror_image() -> None:
-    left = tangent_quadratic((0.0, 0.0), (0.0, 30.0), start_tangent=(-0.2, 1.0))
-    right = tangent_quadratic((0.0, 0.0), (0.0, 30.0), start_tangent=(0.2, 1.0))
-    assert (left.control[0], -left.control[1]) == pytest.approx(right.control)
 
 
 def test_control_points_equal_the_references() -> None:
@@ -162,22 +150,6 @@ def outlined() -> Outline:
     return Outline.start(0, 0).line(30, 0, name="hem").line(30, 20, name="side").line(0, 20).close(name="centre")
 
 
-def test_edges_by_name() -> None:
-    assert outlined().edge("side").length == 20.0
-    assert outlined().closed
-
-
-def test_drawing_returns_a_new_outline() -> None:
-    begun = Outline.start(0, 0).line(10, 0)
-    begun.line(10, 10)
-    assert begun.pen == (10.0, 0.0)
-
-
-def test_the_sign_of_the_area_is_the_direction_of_the_loop() -> None:
-    assert outlined().area == pytest.approx(600.0)
-    assert outlined().mirrored().area == pytest.approx(-600.0)
-
-
 def test_a_divided_edge_cannot_be_looked_up_as_one() -> None:
     hem = outlined().edge("hem")
     divided = outlined().with_strokes((hem,), hem.split([0.5]))
@@ -197,10 +169,6 @@ def positions(lengths: list[float], divisions: list[list[float]]) -> list[float]
         reached += length
         found.append(reached / total)
     return found
-
-
-def test_nearly_equal_edges_are_sewn_edge_by_edge() -> None:
-    assert shared_breaks([10.0, 10.0], [10.9, 10.0]) == ([[], []], [[], []])
 
 
 def test_an_edge_sewn_to_two_edges_is_divided() -> None:
@@ -239,12 +207,6 @@ def test_a_notch_takes_its_triangle_out_of_the_area(clockwise: bool) -> None:
     after = cut_into(before, "hem", notch(4.0, 10.0), at=20.0)
     assert abs(after.area) == pytest.approx(abs(before.area) - 20.0)
     assert [piece.length for piece in after.run("hem")] == pytest.approx([18.0, 38.0])
-
-
-def test_the_legs_of_a_dart_have_the_asked_length() -> None:
-    left, right = dart(6.0, 12.0)
-    assert (left.length, right.length) == pytest.approx((12.0, 12.0))
-    assert right.end == (6.0, 0.0)
 
 
 @pytest.mark.parametrize("curve", [Arc(70.0, large=False, right=True), Cubic((0.2, -0.3), (0.5, -0.1))])

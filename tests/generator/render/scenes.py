@@ -3,6 +3,7 @@
 import numpy as np
 import trimesh
 
+from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import (
     Appearance,
     Camera,
@@ -19,7 +20,7 @@ from gcd_dataset.generator.render import (
     scene_of,
 )
 from gcd_dataset.records import BoxMesh
-from tests.helpers import body_from, far_ball, patch
+from tests.helpers import body_from, far_ball, napkins, patch
 
 GREY = (0.5, 0.5, 0.5)
 FLAT = Weave(depth=0.0, specular=0.0, sheen=0.0, mottle=0.0, wrinkles=0.0)
@@ -52,6 +53,17 @@ def patch_scene(mesh: BoxMesh | None = None) -> Scene:
     """A cloth far in front of its body, which is out of sight."""
     mesh = hung_patch() if mesh is None else mesh
     return scene_of(mesh, mesh.vertices, far_ball())
+
+
+def open_napkins() -> Scene:
+    """Two napkins of 20 x 10 cm, sewn together in the middle and laid open."""
+    pattern = napkins()
+    mesh = build_box_mesh(pattern, spacing=2.0)
+    shift = np.where(mesh.panel_id == 0, 0.0, 20.0)
+    flat = np.zeros((len(mesh.vertices), 3))
+    flat[mesh.uv_vertex[mesh.corners], :2] = mesh.uv[mesh.corners]
+    flat[mesh.uv_vertex[mesh.corners], 0] += shift[:, None]
+    return scene_of(mesh, flat + [-20.0, 95.0, 0.0], far_ball(), pattern=pattern)
 
 
 def ball_scene(radius: float = 20.0) -> Scene:

@@ -27,7 +27,7 @@ from gcd_dataset.generator.render import (
     start_pictures,
 )
 from gcd_dataset.generator.render.scene import figure_scene
-from gcd_dataset.generator.render.uploading import LARGE, Block, StagingBuffers, buffer_size
+from gcd_dataset.generator.render.uploading import StagingBuffers
 from tests.generator.render.scenes import (
     DARK,
     GREY,
@@ -90,14 +90,6 @@ def test_lent_pictures_and_those_of_several_threads_are_the_pictures() -> None:
     assert results == {0: expected, 1: expected}
 
 
-@pytest.mark.parametrize("needed", [0, 1, 3, 1000, LARGE, LARGE + 1, 9 * LARGE // 8])
-def test_buffers_hold_what_they_are_for(needed: int) -> None:
-    size = buffer_size(needed)
-    assert max(needed, 1) <= size <= max(2 * needed, 1)
-    assert needed <= LARGE or size < needed * 1.25
-    assert buffer_size(size) == size
-
-
 def test_page_locked_memory_is_free_once_the_last_picture_in_it_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     free = [wp.empty(2048, dtype=wp.uint8, device="cpu")]
     monkeypatch.setattr(StagingBuffers, "_free", {2048: free})
@@ -114,29 +106,12 @@ def test_page_locked_memory_is_free_once_the_last_picture_in_it_is_dropped(monke
     assert len(free) == 1
 
 
-def test_a_block_holds_its_arrays_one_after_the_other() -> None:
-    """As Warp's types, each at a multiple of 256 bytes; integers count from the start of their group."""
-    block = Block(StagingBuffers("cpu"))
-    block.add("corner", wp.int32, [[0, 1, 2]], np.zeros((0, 3), int), [[2, 1, 0], [3, 2, 1]], shifts=[0, 3, 5])
-    block.add("position", wp.vec3, np.arange(6.0).reshape(2, 3), [[-0.0, 7.0, 1 / 3]])
-    block.add("part", wp.uint8)
-    block.fill()
-    arrays = block.upload()
-    assert arrays["corner"].numpy().tolist() == [0, 1, 2, 7, 6, 5, 8, 7, 6]
-    assert np.array_equal(arrays["position"].numpy(), np.array([[0, 1, 2], [3, 4, 5], [0, 7, 1 / 3]], np.float32))
-    assert len(arrays["part"]) == 0
-    assert arrays["position"].ptr - arrays["corner"].ptr == 256
-
-
 def test_maps_do_not_change_the_picture() -> None:
     scene = ball_scene()
     [view] = draw_views(1, 0, scene, 1)
     [with_maps] = render([scene], [view], size=24, maps=("uv",), device="cpu")
     assert np.array_equal(with_maps.rgb, shot(scene, view, 24))
     assert set(with_maps.maps) == {"uv"}
-
-
-# -------------------------------------------------------------------------------------------------------------- light
 
 
 def test_cloth_between_light_and_cloth_casts_a_shadow() -> None:
@@ -188,9 +163,6 @@ def test_the_floor_shows_the_figures_shadow() -> None:
     # The shadow's middle lies 100 · 0.6 / 0.8 = 75 cm to the right of the foot point, on the floor.
     right, left = camera.project(np.array([[75.0, 0.0, 0.0], [-75.0, 0.0, 0.0]]), 64).round().astype(int)
     assert picture[right[1], right[0]].mean() < picture[left[1], left[0]].mean() - 30
-
-
-# ------------------------------------------------------------------------------------------------------------- prints
 
 
 @pytest.fixture(scope="module")
@@ -276,9 +248,6 @@ def test_prints_break_between_panels_that_are_not_matched() -> None:
     assert (shifted[:, 0] == shifted[:, 1]).mean() < 0.9
 
 
-# ------------------------------------------------------------------------------------------------------------- places
-
-
 def test_places_fill_the_picture_and_light_the_figure() -> None:
     """A room goes on to the lower edge for a camera outside; a photograph is shown as it is, under any lights.
 
@@ -316,9 +285,6 @@ def test_users_photographs_are_drawn() -> None:
     drawn = draw_environment(np.random.default_rng(0), ranges=ranges)
     assert drawn.kind is EnvironmentKind.PHOTOGRAPH
     assert drawn.image is not None and np.array_equal(drawn.image, image)
-
-
-# ------------------------------------------------------------------------------------------------------------- limits
 
 
 def test_errors_name_the_remedy() -> None:

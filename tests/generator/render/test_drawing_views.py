@@ -23,7 +23,7 @@ from gcd_dataset.generator.render import (
     render,
 )
 from gcd_dataset.generator.render.appearance import MONK_TONES
-from gcd_dataset.generator.render.environment import tint, white_balance
+from gcd_dataset.generator.render.environment import tint
 from gcd_dataset.generator.render.images import linear_light
 from gcd_dataset.generator.render.materials import LOOKS, LOOKS_OF_FABRIC, parts_of
 from gcd_dataset.generator.render.packing import skin_albedo
@@ -128,19 +128,6 @@ def test_grey_cloth_looks_grey_in_every_drawn_view() -> None:
     middles = np.stack([picture.rgb[3:5, 3:5] for picture in render([scene], views, size=8, device="cpu")])
     red, green, blue = linear_light(middles / 255).mean(axis=(1, 2)).T
     assert 0.02 < np.abs(np.log([red / green, blue / green])).max() < 0.2
-
-
-def test_white_balance_leaves_casts_within_its_bound() -> None:
-    tungsten = np.array([1.8, 1.0, 0.3])
-    for left in (0.0, 0.5, 1.0):
-        gains, recorded = white_balance(tungsten, left=left, cast=0.1)
-        assert np.abs(np.log(recorded / recorded[1])).max() <= 0.1
-        assert recorded.sum() == pytest.approx(tungsten.sum())
-        assert recorded == pytest.approx(gains * tungsten)
-    assert white_balance(tungsten, left=0.0, cast=0.1)[1] == pytest.approx(tungsten.mean())
-    assert white_balance(tungsten, left=0.7, cast=0.0)[1] == pytest.approx(tungsten.mean())
-    slight = np.array([1.01, 1.0, 0.99])
-    assert white_balance(slight, left=1.0, cast=0.1)[1] == pytest.approx(slight, abs=1e-3)
 
 
 def test_hair_is_a_function_of_seed_index_and_epoch() -> None:

@@ -11,7 +11,7 @@ from gcd_dataset.generator.body.landmarks import model_landmarks
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import HairStyle, Scene, look_at, render, scene_of
 from gcd_dataset.generator.render.figure import body_masks, eyeballs, hair_shell
-from gcd_dataset.generator.render.geometry import HEM, PanelBorders, panel_borders, solid_of
+from gcd_dataset.generator.render.geometry import HEM, PanelBorders, panel_borders
 from gcd_dataset.generator.render.pictures import HAIR
 from gcd_dataset.records import Body, BodyPart, BoxMesh
 from tests.generator.render.scenes import view_of
@@ -43,20 +43,6 @@ def test_seams_are_found_on_both_panels() -> None:
     assert lengths[borders.seam == HEM].sum() == pytest.approx(2 * 50.0, rel=1e-3)
     round_tube = borders_of(tube(12, 4, radius=5.0)).seam
     assert ((round_tube == -1).sum(), (round_tube == HEM).sum()) == (2 * 4, 2 * 12)
-
-
-def test_faces_of_a_solid_count_over_all_parts() -> None:
-    body = build_body(neutral_shape())
-    mesh = patch(3, 3)
-    solid = solid_of(scene_of(mesh, mesh.vertices, body, hair=HairStyle.SHORT))
-    assert solid.starts[-1] == len(solid.position)
-    begin = 0
-    for (vertices, faces), start in zip(solid.parts, solid.starts, strict=False):
-        ours = solid.faces[begin : begin + len(faces)]
-        assert np.array_equal(solid.position[ours], vertices[faces])
-        assert ours.min() >= start
-        begin += len(faces)
-    assert begin == len(solid.faces)
 
 
 def test_panel_corners_are_rows_of_their_own_panel() -> None:

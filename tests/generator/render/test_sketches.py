@@ -7,7 +7,6 @@ import pytest
 import trimesh
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import (
     FLAT,
     HAND,
@@ -22,21 +21,17 @@ from gcd_dataset.generator.render import (
 )
 from gcd_dataset.generator.render.sketches import HEM_STITCH, INSIDE, NOBODY, PIXELS, WIDTHS
 from gcd_dataset.generator.render.strokes import (
-    Segments,
     SketchLine,
     by_hand,
     chains,
-    cracks,
-    dashed,
     draw_strokes,
     level_lines,
     linked,
-    smoothed,
     valleys,
 )
 from gcd_dataset.records import BoxMesh
-from tests.generator.render.scenes import hung_patch
-from tests.helpers import far_ball, joined, napkins, patch
+from tests.generator.render.scenes import hung_patch, open_napkins
+from tests.helpers import far_ball, joined, patch
 
 ROW, COLUMN = np.indices((60, 80)).astype(float)
 SIZE = 400
@@ -109,13 +104,7 @@ def test_an_edge_is_drawn_where_cloth_hangs_in_front_of_cloth() -> None:
 
 def test_seams_are_lines_where_panels_meet_and_stitches_follow_the_hems() -> None:
     """Two napkins of 20 x 10 cm side by side: one seam in the middle, hems around."""
-    pattern = napkins()
-    mesh = build_box_mesh(pattern, spacing=2.0)
-    shift = np.where(mesh.panel_id == 0, 0.0, 20.0)
-    flat = np.zeros((len(mesh.vertices), 3))
-    flat[mesh.uv_vertex[mesh.corners], :2] = mesh.uv[mesh.corners]
-    flat[mesh.uv_vertex[mesh.corners], 0] += shift[:, None]
-    scene = scene_of(mesh, flat + [-20.0, 95.0, 0.0], far_ball(), pattern=pattern)
+    scene = open_napkins()
     plain, sewn = drawn(scene), drawn(scene, replace(BARE, seams=True))
     row, column = np.nonzero(sewn - plain > 0.3)
     assert np.abs(column - 199.5).max() < 2
@@ -214,20 +203,10 @@ def test_bad_options_are_named() -> None:
         sketch_camera(bare)
 
 
-# -------------------------------------------------------------------------------------------------------------- lines
-
-
 def test_a_level_line_of_a_distance_is_a_circle() -> None:
     [circle] = chains(level_lines(np.hypot(COLUMN - 40.3, ROW - 28.6), 20.0))
     assert (circle[0] == circle[-1]).all()
     assert np.hypot(circle[:, 0] - 40.3, circle[:, 1] - 28.6) == pytest.approx(20.0, abs=0.02)
-
-
-def test_level_lines_end_at_missing_values() -> None:
-    field = np.where(ROW < 30, COLUMN, np.nan)
-    [line] = chains(level_lines(field, 12.25))
-    assert line[:, 0] == pytest.approx(12.25)
-    assert (line[:, 1].min(), line[:, 1].max()) == (0, 29)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 1.2, 2.5])
@@ -243,31 +222,6 @@ def test_a_valley_is_its_deepest_line(angle: float) -> None:
     assert strength[30, 40] == pytest.approx(0.02, rel=0.01)
 
 
-def test_the_border_of_a_square_is_one_closed_line() -> None:
-    mask = np.zeros((9, 11), bool)
-    mask[2:5, 3:9] = True
-    [line] = chains(cracks(mask[:, :-1] != mask[:, 1:], mask[:-1] != mask[1:]))
-    assert (line[0] == line[-1]).all()
-    assert len(line) == 2 * (3 + 6) + 1
-    assert (line.min(axis=0) == [2.5, 1.5]).all()
-    assert (line.max(axis=0) == [8.5, 4.5]).all()
-
-
-def test_lines_end_where_three_meet() -> None:
-    star = Segments(np.array([[0, 1], [1, 2], [0, 3], [0, 4], [4, 5]]), np.arange(12.0).reshape(6, 2))
-    lines = chains(star)
-    assert sorted(len(line) for line in lines) == [2, 3, 3]
-    assert all((line[0] == star.place[0]).all() for line in lines)
-
-
-def test_smoothing_keeps_straight_lines_and_ends() -> None:
-    steps = np.array([[x + k, x] for x in range(40) for k in (0, 1)], float)  # a staircase at 45 degrees
-    curve = smoothed(steps, 3.0)
-    assert curve[0] == pytest.approx(steps[0], abs=1e-9)
-    assert curve[-1] == pytest.approx(steps[-1], abs=1e-9)
-    assert np.ptp(curve[10:-10, 0] - curve[10:-10, 1]) < 0.1
-
-
 @pytest.mark.parametrize("width", [0.6, 1.5, 4.0])
 @pytest.mark.parametrize("slope", [0.0, 0.7])
 def test_the_ink_of_a_line_is_its_length_times_its_width(width: float, slope: float) -> None:
@@ -277,15 +231,6 @@ def test_the_ink_of_a_line_is_its_length_times_its_width(width: float, slope: fl
     ink = float((255 - picture.astype(float)).sum()) / 255
     length = size * float(np.linalg.norm(points[1] - points[0]))
     assert ink == pytest.approx(length * width, rel=0.06)
-
-
-def test_dashes_are_equal_and_fill_the_line() -> None:
-    line = SketchLine(np.array([[0.1, 0.5], [0.9, 0.5]]), 0.01)
-    pieces = dashed(line, 0.05, 0.03)
-    assert len(pieces) == 10
-    assert np.ptp([piece.length for piece in pieces]) < 1e-12
-    assert pieces[0].points[0].tolist() == [0.1, 0.5]
-    assert pieces[-1].points[-1] == pytest.approx([0.9, 0.5])
 
 
 def test_a_hand_stays_near_the_line_and_does_not_repeat_itself() -> None:
@@ -308,12 +253,3 @@ def test_lines_are_joined_where_one_goes_on_as_another() -> None:
     assert (np.abs(np.diff(joined[:, 0])) <= 5).all()
     assert np.ptp(joined[:, 0]) == 43
     assert len(linked([level, after], 4.0)) == 2
-
-
-def test_quarters_of_a_circle_make_a_ring() -> None:
-    angle = np.linspace(0.0, 0.5 * np.pi, 60)
-    quarters = [30.0 * np.stack([np.cos(angle + turn), np.sin(angle + turn)], axis=1)
-                for turn in 0.5 * np.pi * np.arange(4)]  # fmt: skip
-    (ring,) = linked(quarters, 2.0)
-    assert len(ring) == 240
-    assert np.linalg.norm(np.diff(ring, axis=0), axis=1).max() < 1.0

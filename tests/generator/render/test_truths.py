@@ -25,7 +25,7 @@ from gcd_dataset.generator.render.geometry import HEM
 from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR, VERTEX_MAPS
 from gcd_dataset.generator.render.scene import figure_scene
 from gcd_dataset.records import BodyPart
-from tests.generator.render.scenes import ahead, ball_scene, patch_scene, view_of
+from tests.generator.render.scenes import ahead, ball_scene, open_napkins, patch_scene, view_of
 from tests.helpers import body_from, far_ball, napkins, patch
 
 
@@ -109,13 +109,7 @@ def test_a_linear_value_of_the_vertices_has_at_each_pixel_its_value_at_the_point
 
 def test_seams_and_hems_are_lines_where_the_pattern_has_them() -> None:
     """Two napkins sewn together, laid open: one seam in the middle, hems around."""
-    pattern = napkins()
-    mesh = build_box_mesh(pattern, spacing=2.0)
-    shift = np.where(mesh.panel_id == 0, 0.0, 20.0)
-    flat = np.zeros((len(mesh.vertices), 3))
-    flat[mesh.uv_vertex[mesh.corners], :2] = mesh.uv[mesh.corners]
-    flat[mesh.uv_vertex[mesh.corners], 0] += shift[:, None]
-    scene = scene_of(mesh, flat + [-20.0, 95.0, 0.0], far_ball(), pattern=pattern)
+    scene = open_napkins()
     picture = picture_of(scene, ahead(100.0, focal=2.0), 128)
     seam, panel = picture.maps["seam"], picture.maps["panel_id"]
     assert sorted(scene.panel_corners.tolist()) == [[p, k] for p in range(2) for k in range(4)]
