@@ -4,7 +4,7 @@ Pieces are drawn symmetrically about x = 0, with the middle of their ``top`` at 
 """
 
 from math import cos, pi, sin
-from typing import Any
+from typing import Protocol
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.generator.garments.trunk import waist_back, waist_front
@@ -81,7 +81,15 @@ def length_below_waist(size: Measurements, below_hips: float, *, rise: float) ->
     return rise * size.hips_line + below_hips * size.leg_length
 
 
-def skirt_length(size: Measurements, design: Any, rise: float) -> float:
+class HasLength(Protocol):
+    """The parameters of a skirt."""
+
+    @property
+    def length(self) -> float:
+        """Length below the hips, as a share of the leg."""
+
+
+def skirt_length(size: Measurements, design: HasLength, rise: float) -> float:
     """Length from the top to the hem along the cloth [cm]; along the back if the front is shorter."""
     return max(length_below_waist(size, design.length, rise=rise), SHORTEST)
 

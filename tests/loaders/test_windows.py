@@ -123,7 +123,7 @@ def test_garments_without_frames_hold_no_motion(folder: Path, worn_folder: Path)
     plain = GarmentDataset(folder, cache_dir=folder / "cache")
     assert len(plain) == 3 and not [field for field in plain.fields if field.startswith("motion_")]
     assert len(collate_packed([plain[0], plain[2]]).verts)
-    with pytest.raises(ConfigError, match="no field motion_verts: .*frames=8 reads garments in motion"):
+    with pytest.raises(ConfigError, match=r"no field motion_verts: .*frames=8 reads garments in motion"):
         GarmentDataset(folder, fields=["motion_verts"])
     with pytest.raises(ConfigError, match=r"frames=7: the longest motion of .* has 6 frames"):
         GarmentDataset(folder, frames=7)
