@@ -399,10 +399,7 @@ def loop_outwardness(
 
     ``loops``: signed areas [cm²]; ``centre``: of each panel in space [cm]; ``across``: the panels' unit z axes.
     """
-    weight = np.abs(loops)
-    away = centre - np.average(centre, axis=0, weights=np.maximum(weight, 1e-12))
-    total = float(weight @ np.linalg.norm(away, axis=1))
-    return float(((loops[:, None] * across) * away).sum()) / total if total > 0 else 0.0
+    return _outwardness(loops[:, None] * across, centre)
 
 
 def outwardness(placed: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> float:
@@ -411,9 +408,11 @@ def outwardness(placed: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"])
     1 for a sphere whose normals point outwards; by the divergence theorem the sum is 3 · volume for a closed surface.
     """
     corners = placed[faces].astype(float)
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return _outwardness(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), corners.mean(axis=1))
+
+
+def _outwardness(area: Float[np.ndarray, "n 3"], centre: Float[np.ndarray, "n 3"]) -> float:
     weight = np.linalg.norm(area, axis=1)
-    centre = corners.mean(axis=1)
     away = centre - np.average(centre, axis=0, weights=np.maximum(weight, 1e-12))
     total = float(weight @ np.linalg.norm(away, axis=1))
     return float((area * away).sum()) / total if total > 0 else 0.0

@@ -390,16 +390,6 @@ def _draw_piece(canvas: Any, piece: CutPiece, size: str) -> None:
 
 def _write_texts(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
     """Name of a piece and numbers of its seams."""
-    _write_name(canvas, piece, name, latin)
-    canvas.setFillGray(GREY)
-    for number in piece.numbers:
-        size = min(SMALL, 0.3 * number.room)
-        x, y = (number.point + 1.4 * size * number.inward).tolist()
-        _text(canvas, number.text, x, y - 0.35 * size, size)
-    canvas.setFillGray(0)
-
-
-def _write_name(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
     notes = f"{'' if name == latin else f'{latin}: '}cut 1, right side up"
     room = NAME_SHARE * piece.name_room
     x, y = piece.name_at.tolist()
@@ -407,6 +397,12 @@ def _write_name(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
     _text(canvas, name, x, y, largest, font=BOLD, room=room)
     small = min(SMALL, 0.7 * largest)
     _text(canvas, notes, x, y - 1.4 * small, small, room=room)
+    canvas.setFillGray(GREY)
+    for number in piece.numbers:
+        size = min(SMALL, 0.3 * number.room)
+        x, y = (number.point + 1.4 * size * number.inward).tolist()
+        _text(canvas, number.text, x, y - 0.35 * size, size)
+    canvas.setFillGray(0)
 
 
 def _draw_fold(canvas: Any, fold: Float[np.ndarray, "2 2"]) -> None:
