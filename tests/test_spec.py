@@ -356,13 +356,6 @@ def test_content_outside_the_format_is_named(place: tuple[str | int, ...], value
     assert "\n" not in str(caught.value)
 
 
-def test_broken_json_is_named_with_its_line(tmp_path: Path) -> None:
-    path = tmp_path / "half.json"
-    path.write_text('{"pattern": {\n"panels": ')
-    with pytest.raises(SpecError, match=r"half\.json: line 2, column"):
-        read_pattern(path)
-
-
 def test_a_file_that_cannot_be_read_is_named_with_a_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SpecError, match=r"nothing\.json: no such file: give the path of a specification JSON"):
         read_pattern(tmp_path / "nothing.json")
@@ -378,13 +371,6 @@ def test_a_file_that_cannot_be_read_is_named_with_a_remedy(tmp_path: Path, monke
     monkeypatch.setattr(Path, "open", forbidden)  # tests may run as root, which can read everything
     with pytest.raises(SpecError, match=r"cannot be read \(Permission denied\): ask for the right to read it"):
         read_pattern(tmp_path / "mine.json")
-
-
-def test_a_file_of_megabytes_is_refused_before_it_is_parsed(tmp_path: Path) -> None:
-    path = tmp_path / "large_specification.json"
-    path.write_bytes(b"{}" + b" " * (4 << 20))
-    with pytest.raises(SpecError, match="more than 4 MB"):
-        read_pattern(path)
 
 
 def test_pleats_survive_and_a_reader_of_stitches_sews_each_edge_once() -> None:

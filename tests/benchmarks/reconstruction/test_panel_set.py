@@ -9,7 +9,6 @@ import torch
 
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.panel_set import SMALL, PanelSet, build, match_panels, panel_losses
-from benchmarks.reconstruction.panel_answers import _partners, edges_of
 from benchmarks.reconstruction.panel_net import Predicted
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from, simple_panel
 from benchmarks.reconstruction.point_net import regions_of
@@ -98,21 +97,6 @@ def test_regions_hold_equal_numbers_of_near_points() -> None:
     assert (regions[..., :3].amax(dim=2) - regions[..., :3].amin(dim=2)).mean() < 0.6  # halves of a unit cube
     one_row = regions[0, :, :, 0].flatten()
     assert not torch.equal(one_row, points[0, :512, 0])
-
-
-def test_the_likeliest_pairs_are_sewn_first() -> None:
-    logits = torch.tensor([[[-9.0, 5, 4, -9, 0], [5, -9, 3, -9, 0], [4, 3, -9, 0.5, 0], [-9, -9, 0.5, -9, 2]]])
-    exists = torch.tensor([[True, True, True, True]])
-    assert _partners(logits, exists).tolist() == [[1, 0, -1, -1]]
-    assert _partners(logits, exists & torch.tensor([True, False, True, True])).tolist() == [[2, -1, 0, -1]]
-
-
-def test_edges_follow_each_other_in_the_loops_of_existing_panels() -> None:
-    edges = edges_of(torch.tensor([[True, False, True, True]]), torch.tensor([[3, 9, 4, 5]]), room=8)
-    assert edges.queries.tolist() == [[0, 0, 0, 2, 2, 2, 2, 0]]
-    assert edges.slots.tolist() == [[0, 1, 2, 0, 1, 2, 3, 0]]
-    assert edges.following.tolist() == [[1, 2, 0, 1, 2, 3, 0, 0]]
-    assert edges.exists.tolist() == [[True] * 7 + [False]]
 
 
 def test_panels_are_matched_alike_at_every_place(six: GarmentSet) -> None:
