@@ -131,7 +131,7 @@ def _content_lines(reader: ShardReader, present: Sequence[str]) -> Iterator[str]
 
 def _view_size(reader: ShardReader, member: str) -> str:
     """Size of the first garment's view."""
-    with opened_picture(reader.read(0, [member])[member], ("JPEG",)) as picture:
+    with opened_picture(reader.read(0, [member])[member]) as picture:
         return f"{picture.width} x {picture.height} pixels"
 
 

@@ -726,8 +726,8 @@ DERIVED: Mapping[str, Callable[[Mapping[str, np.ndarray]], np.ndarray]] = {
 
 
 @contextlib.contextmanager
-def opened_picture(data: Bytes, formats: tuple[str, ...]) -> "Iterator[ImageFile.ImageFile]":
-    """The picture in a member; its pixels are decoded inside the block. ``formats``: Pillow's names of decoders.
+def opened_picture(data: Bytes) -> "Iterator[ImageFile.ImageFile]":
+    """The JPEG in a member; its pixels are decoded inside the block.
 
     Raises ``ShardError`` for a broken picture, another format, or more than ``MOST_PIXELS`` pixels.
     """
@@ -735,7 +735,7 @@ def opened_picture(data: Bytes, formats: tuple[str, ...]) -> "Iterator[ImageFile
 
     bombs = (Image.DecompressionBombError, Image.DecompressionBombWarning)
     try:
-        with Image.open(io.BytesIO(data), formats=formats) as image:
+        with Image.open(io.BytesIO(data), formats=("JPEG",)) as image:
             if image.width * image.height > MOST_PIXELS:
                 raise ShardError(f"a picture of {image.width} x {image.height} pixels, over the limit of {MOST_PIXELS}")
             yield image
@@ -747,7 +747,7 @@ def _picture(data: Bytes) -> np.ndarray:
     """The picture as u8 [3, height, width]; [3, 0, 0] for ``NO_PICTURE``."""
     if data == NO_PICTURE:
         return np.zeros((3, 0, 0), np.uint8)
-    with opened_picture(data, ("JPEG",)) as image:
+    with opened_picture(data) as image:
         pixels = np.asarray(image.convert("RGB"))
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))
 
