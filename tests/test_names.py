@@ -1,7 +1,6 @@
 """No name from a file or a server leads to a path outside its folder."""
 
 import re
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -14,7 +13,7 @@ import pytest
 
 from gcd_dataset.cli import main
 from gcd_dataset.errors import GcdError, OutputError, ShardError
-from gcd_dataset.exports.published import _name_in_release, export_published
+from gcd_dataset.exports.published import export_published
 from gcd_dataset.files import LONGEST, plain_names, require_name, safe_name
 from gcd_dataset.generator import fitting
 from gcd_dataset.generator.fitting import Fitting, write_fitting
@@ -141,14 +140,6 @@ def test_a_split_of_a_data_set(victims: Path, shards: Path, name: str) -> None:
     assert main(["export", str(shards), "--hdf5", str(victims / "o.h5"), f"--split={name}"]) == 1
 
 
-@few_hostile
-def test_a_manifest(victims: Path, shards: Path, name: str) -> None:
-    data = shutil.copytree(shards, victims / "data")
-    (data / "manifest.json").write_bytes(manifest_with(shards, name))
-    with pytest.raises(ShardError, match=r"manifest\.json: .*split.* cannot be a file's name"):
-        GarmentDataset(data)
-
-
 def manifest_with(shards: Path, name: str) -> bytes:
     """The manifest with one more split, of that name; its digest is right."""
     manifest = read_manifest(shards)
@@ -198,16 +189,6 @@ def test_the_folder_that_a_download_makes(
     monkeypatch.chdir(victims)
     hub.static = {f"{name}/{path}": data for path, data in read_folder(shards).items()}
     assert main(["download", f"{hub.endpoint}/files/{name}", "--quiet"]) in (0, 1, 2)
-
-
-@hostile
-def test_the_place_of_a_garment_that_came_from_a_release(name: str) -> None:
-    for part in (1, 2, 3):
-        source = ["GarmentCodeData_v2", "garments_5000_0", "default_body", "rand_ABCDEFGHIJ"]
-        source[part] = name
-        place = _name_in_release("gcd_000000000", "/".join(source), "mean_all")
-        for component in (place.batch, place.body_folder, place.name):
-            assert require_name(component, "here") == component
 
 
 def test_where_a_garment_came_from(victims: Path) -> None:
