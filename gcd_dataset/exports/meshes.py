@@ -433,7 +433,6 @@ def _add_mesh(stage: Any, path: str, vertices: np.ndarray, faces: np.ndarray) ->
 
 
 def _move(mesh: Any, frames: Float[np.ndarray, "t v 3"], faces: np.ndarray) -> None:
-    """Time samples of a mesh."""
     for time, vertices in enumerate(frames):
         mesh.GetPointsAttr().Set(_array("Vec3fArray", vertices), time)
         mesh.GetNormalsAttr().Set(_array("Vec3fArray", smooth_normals(vertices, faces)), time)

@@ -339,7 +339,6 @@ def _draw_marks(canvas: Any, sheet: _PaperSheet, page: Page) -> None:
 
 
 def _ink(canvas: Any, colour: RGB) -> None:
-    """Draw and write in this colour."""
     shares = [channel / 255 for channel in colour]
     canvas.setStrokeColorRGB(*shares)
     canvas.setFillColorRGB(*shares)
@@ -516,7 +515,6 @@ def _cloth_lengths(sheet: _PaperSheet) -> str:
 
 
 def _draw_key(canvas: Any, sheet: _PaperSheet, x: float, y: float) -> None:
-    """The meaning of the lines."""
     middle, end = x + 0.75, x + 1.5
     texts = (
         "cut line",

@@ -402,7 +402,6 @@ LABELS = ("panel_names", "panel_labels", "edge_labels", "vertex_labels")
 
 
 def _worn_entry(garment: WornGarment, tensor: PatternTensor) -> dict[str, Any]:
-    """A garment as an entry of ``outfit``."""
     mesh, drape, fabric = garment.box_mesh, garment.drape, garment.fabric
     strain, figures = None if drape is None else drape.strain, dict(NO_DRAPE)
     if drape is not None:
