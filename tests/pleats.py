@@ -4,8 +4,6 @@ import numpy as np
 
 from gcd_dataset.records import Edge, EdgeRef, InnerLine, LineRole, Panel, Pattern, Placement, Seam
 
-DEPTH = 4.0  # cm
-
 
 def pleated_square() -> Pattern:
     """Cloth of 20 by 12 cm, 12 by 12 cm when folded, under a band of 12 by 4 cm.

@@ -421,7 +421,6 @@ def _outwardness(area: Float[np.ndarray, "n 3"], centre: Float[np.ndarray, "n 3"
 OPEN = 0.2  # share of a seam's mesh edges on the border of the mesh, above which it is open
 RATIO = 0.01  # relative error of a stored gather ratio
 GATHERED = 6.0  # ratio of two lengths sewn together; ruffles of the design space reach 2, of the published data 3
-SLACK = 0.5  # cm: a difference of two lengths that any seam absorbs
 
 
 def sewing_faults(

@@ -20,8 +20,6 @@ from gcd_dataset.tensors import encode_pattern
 
 SEAMS = (Seam(EdgeRef("wb_front", 1), EdgeRef("wb_back", 3)), Seam(EdgeRef("wb_front", 3), EdgeRef("wb_back", 1)))
 
-BELT = ("wb_front", "wb_back")
-
 
 def garment(name: str = "belt", width: float = 30.0) -> Pattern:
     corners = np.array([[0.0, 0.0], [width, 0.0], [width, 8.0], [0.0, 8.0]])

@@ -142,11 +142,6 @@ def seams_of(pattern: Pattern) -> set[frozenset[EdgeRef]]:
     return {frozenset((seam.left, seam.right)) for seam in pattern.seams}
 
 
-def encode(pattern: Pattern) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    tensor = encode_pattern(pattern)
-    return tensor.panels, tensor.edges, tensor.stitches
-
-
 def rows_of(pattern: Pattern) -> list[tuple[int, int]]:
     rows = {ref: row for row, ref in enumerate(edge_refs(pattern))}
     return [(rows[seam.left], rows[seam.right]) for seam in pattern.seams]
