@@ -497,7 +497,7 @@ def _draw_legend(canvas: Any, sheet: _PaperSheet, left: float, top: float) -> No
     _text(canvas, "10 cm × 10 cm", 5.0, -7.2, 0.6, font=BOLD)
     _text(canvas, "Measure both sides. Print at 100 %,", 5.0, -8.2, TINY)
     _text(canvas, "without “fit to page”.", 5.0, -8.7, TINY)
-    _draw_key(canvas, sheet, 10.8, -2.6)
+    _draw_key(canvas, 10.8, -2.6)
     _list_pieces(canvas, sheet, -13.3)
     _draw_map(canvas, sheet, -LEGEND[1] + MAP[1])
     canvas.restoreState()
@@ -514,7 +514,7 @@ def _cloth_lengths(sheet: _PaperSheet) -> str:
     return f"cloth length, along the grain in one layer: {', '.join(texts)}"
 
 
-def _draw_key(canvas: Any, sheet: _PaperSheet, x: float, y: float) -> None:
+def _draw_key(canvas: Any, x: float, y: float) -> None:
     middle, end = x + 0.75, x + 1.5
     texts = (
         "cut line",

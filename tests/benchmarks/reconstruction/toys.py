@@ -16,7 +16,6 @@ from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, 
 from benchmarks.reconstruction.stitching.net import StitchConfig, StitchNet
 from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
-from gcd_dataset.tensors import encode_pattern
 
 
 @dataclass(frozen=True)
