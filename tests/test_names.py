@@ -28,9 +28,11 @@ from gcd_dataset.release.write import release_draft
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.index import index_name
 from gcd_dataset.shards.manifest import read_manifest
-from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
-from tests.hub.server import Hub, read_folder, running_hub
+from tests.hub import conftest
+from tests.hub.server import Hub, read_folder
 from tests.shards.folders import RECIPE
+
+hub, no_long_waits = conftest.hub, conftest.no_long_waits  # fixtures
 
 HOSTILE = {
     "parent": "..",
@@ -78,12 +80,6 @@ def outside(folder: Path, inner: Path) -> dict[str, bytes | None]:
         for path in folder.rglob("*")
         if not path.is_relative_to(inner) and not path.is_relative_to(folder / "home")
     }
-
-
-@pytest.fixture
-def hub() -> Iterator[Hub]:
-    with running_hub() as server:
-        yield server
 
 
 @cache

@@ -25,13 +25,13 @@ from gcd_dataset.spec import (
     spec_from_pattern,
     write_pattern,
 )
+from tests.generator.mesh import shapes
 from tests.pleats import pleated_square
 
 
 def square(name: str, *, x: float = 0.0, z: float = 0.0, curves: tuple[Curve, ...] = (LINE,) * 4) -> Panel:
-    corners = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 30.0], [0.0, 30.0]])
-    edges = tuple(Edge(i, (i + 1) % 4, curve) for i, curve in enumerate(curves))
-    return Panel(name, corners, edges, Placement(np.array([x, 60.0, z]), np.zeros(3)), "leg")
+    bent = shapes.panel(name, shapes.rectangle(20, 30), curves=dict(enumerate(curves)), at=(x, 60.0, z))
+    return replace(bent, label="leg")
 
 
 def tube() -> Pattern:
@@ -181,9 +181,8 @@ finite = st.floats(-200, 200, allow_nan=False)
 
 @given(st.lists(st.tuples(finite, finite), min_size=3, max_size=8), st.tuples(finite, finite, finite), st.booleans())
 def test_any_polygon_survives(corners: list[tuple[float, float]], place: tuple[float, ...], turned: bool) -> None:
-    edges = tuple(Edge(i, (i + 1) % len(corners)) for i in range(len(corners)))
     placement = Placement(np.array(place), np.radians(place) * 0.9)
-    pattern = Pattern("p", (Panel("one", np.array(corners), edges, placement),), ())
+    pattern = Pattern("p", (replace(shapes.panel("one", corners), placement=placement),), ())
     back = pattern_from_spec(parsed(pattern), "p")
     assert np.allclose(back.panels[0].vertices, pattern.panels[0].vertices, atol=1e-12)
     assert np.allclose(back.panels[0].placement.rotation, placement.rotation, atol=1e-12)

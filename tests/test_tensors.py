@@ -36,6 +36,7 @@ from gcd_dataset.tensors import (
     encode_pattern,
     sewn_rows,
 )
+from tests.generator.mesh import shapes
 from tests.helpers import napkins
 
 LOSSLESS = 1e-4  # cm
@@ -251,9 +252,7 @@ def test_roles_have_the_numbers_that_stored_tensors_have() -> None:
 
 
 def test_labels_come_back_as_roles_and_other_texts_as_they_are() -> None:
-    edges = tuple(Edge(i, (i + 1) % 4, label=label) for i, label in enumerate(("", "left_collar", "pocket", "")))
-    corners = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]])
-    panel = Panel("front", corners, edges, Placement(np.zeros(3), np.zeros(3)), "arm")
+    panel = replace(shapes.panel("front", shapes.rectangle(9, 9), labels={1: "left_collar", 2: "pocket"}), label="arm")
     (read,) = decode_pattern(encode_pattern(Pattern("shirt", (panel,), ()))).panels
     assert read.label is PanelRole.ARM
     assert sorted(edge.label for edge in read.edges) == ["", "", "left_collar", "pocket"]

@@ -18,7 +18,8 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.exports import pdf
 from gcd_dataset.exports.pdf_file import PAPERS, Page, bezier_pieces, paper_named, tile
 from gcd_dataset.records import Pattern, Sample
-from tests.exports.patterns import NAMES, exact_area, named, panel_of, quarter_circle, squares
+from tests.exports.patterns import NAMES, exact_area, named, quarter_circle, squares
+from tests.generator.mesh.shapes import panel
 from tests.pleats import pleated_square
 
 CM = 2.54 / 72
@@ -170,7 +171,7 @@ def test_three_squares_lie_in_two_rows_on_narrow_cloth_and_in_one_on_wide(tmp_pa
     """Squares of 42 cm with their allowance: 110 cm has room for two of them, 140 cm for three."""
     text = read(named("a", "b", "c"), tmp_path).pages[0].extract_text()
     assert "in one layer: 84 cm at 110 cm, 42 cm at 140 cm, 42 cm at 150 cm" in text
-    wide = Pattern("wide", (panel_of("wide", [(0, 0), (120, 0), (120, 20), (0, 20)]),), ())
+    wide = Pattern("wide", (panel("wide", [(0, 0), (120, 0), (120, 20), (0, 20)]),), ())
     text = read(wide, tmp_path).pages[0].extract_text()
     assert "too narrow at 110 cm, 22 cm at 140 cm" in text
 

@@ -12,20 +12,19 @@ import pytest
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.metrics import score_pattern
-from gcd_dataset.records import Closure, Edge, EdgeRef, InnerLine, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Closure, EdgeRef, InnerLine, Pattern, Seam
 from gcd_dataset.scoring.answers import Answer, AnswerReader
 from gcd_dataset.scoring.garments import garment_name
 from gcd_dataset.spec import write_pattern
 from gcd_dataset.tensors import encode_pattern
+from tests.generator.mesh import shapes
 
 SEAMS = (Seam(EdgeRef("wb_front", 1), EdgeRef("wb_back", 3)), Seam(EdgeRef("wb_front", 3), EdgeRef("wb_back", 1)))
 
 
 def garment(name: str = "belt", width: float = 30.0) -> Pattern:
-    corners = np.array([[0.0, 0.0], [width, 0.0], [width, 8.0], [0.0, 8.0]])
-    edges = tuple(Edge(i, (i + 1) % 4) for i in range(4))
-    front = Panel("wb_front", corners, edges, Placement(np.array([-width / 2, 100.0, 15.0]), np.zeros(3)))
-    back = Panel("wb_back", corners, edges, Placement(np.array([width / 2, 100.0, -15.0]), np.array([0.0, np.pi, 0.0])))
+    front = shapes.panel("wb_front", shapes.rectangle(width, 8.0), at=(-width / 2, 100.0, 15.0))
+    back = shapes.panel("wb_back", shapes.rectangle(width, 8.0), at=(width / 2, 100.0, -15.0), turned=np.pi)
     return Pattern(name, (front, back), SEAMS)
 
 

@@ -16,8 +16,9 @@ from gcd_dataset.curves import LINE, Arc, Cubic, Curve, curve_points, fitted_cur
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.faults import Rule, Severity, check_pattern
 from gcd_dataset.metrics import mean_scores, score_pattern
-from gcd_dataset.records import Edge, Panel, Pattern, Placement
+from gcd_dataset.records import Panel, Pattern
 from tests.benchmarks.reconstruction.conftest import shuffled, started_elsewhere
+from tests.generator.mesh.shapes import panel, rectangle
 
 CPU = torch.device("cpu")
 
@@ -138,18 +139,12 @@ def test_a_garment_beyond_the_sizes_is_refused(six: GarmentSet) -> None:
         assert not replace(TARGETS, **small)(six.select([0])).exists.any()
 
 
-def panel(corners: list[tuple[float, float]], *curves: Curve) -> Panel:
-    drawn = [*curves, *[LINE] * (len(corners) - len(curves))]
-    edges = tuple(Edge(i, (i + 1) % len(corners), curve) for i, curve in enumerate(drawn))
-    return Panel("front", np.array(corners), edges, Placement(np.zeros(3), np.zeros(3)))
-
-
 @pytest.mark.parametrize(
     "crossing",
     [
-        panel([(0, 0), (40, 40), (40, 0), (0, 40)]),
-        panel([(0, 0), (40, 0), (40, 30), (0, 30)], Cubic((0.5, 2.0), (0.6, 2.0))),
-        panel([(0, 0), (30, 50), (60, 0), (0, 30), (60, 30)]),
+        panel("front", [(0, 0), (40, 40), (40, 0), (0, 40)]),
+        panel("front", rectangle(40, 30), curves={0: Cubic((0.5, 2.0), (0.6, 2.0))}),
+        panel("front", [(0, 0), (30, 50), (60, 0), (0, 30), (60, 30)]),
     ],
 )
 def test_a_repaired_outline_does_not_cross_itself(crossing: Panel) -> None:
