@@ -337,7 +337,8 @@ def require_closed(panel: Panel) -> None:
     """
     if not panel.edges:
         raise PatternError(f"panel {panel.name}: no edges: draw its outline")
-    for index, edge in enumerate((*panel.edges, *panel.lines)):
+    drawn: tuple[Edge | InnerLine, ...] = (*panel.edges, *panel.lines)
+    for index, edge in enumerate(drawn):
         is_line = index >= len(panel.edges)
         where = f"panel {panel.name}, " + (f"line {index - len(panel.edges)}" if is_line else f"edge {index}")
         if min(edge.start, edge.end) < 0 or max(edge.start, edge.end) >= len(panel.vertices):
