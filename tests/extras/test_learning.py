@@ -13,6 +13,7 @@ import torch
 from torch._subclasses.fake_tensor import FakeTensorMode
 
 from benchmarks.cases import parity
+from benchmarks.cloth_tests import drape_coefficient
 from benchmarks.reconstruction.derived import FIRST_PANEL
 from benchmarks.reconstruction.garments import GarmentSet, generated, read_folder
 from benchmarks.reconstruction.models import panel_set
@@ -21,6 +22,7 @@ from benchmarks.reconstruction.tasks import NAMED
 from benchmarks.reconstruction.train import train
 from gcd_dataset.cli import main as gcd
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.drape import Fabric
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES
@@ -98,6 +100,11 @@ def test_drapes_that_workers_make_ahead_are_the_same_set() -> None:
     assert ahead.patterns_hash == alone.patterns_hash
     assert np.array_equal(ahead.points, alone.points)
     assert all(np.array_equal(ahead.ragged["verts"][k], alone.ragged["verts"][k]) for k in range(len(alone)))
+
+
+def test_the_drape_coefficient_of_a_rigid_disc_is_100() -> None:
+    rigid = Fabric(density=0.2, tensile=1e4, bending=1.0)
+    assert drape_coefficient(rigid, spacing=2.0, edge=2.0) == pytest.approx(100.0, abs=0.2)
 
 
 def test_several_processes_score_alike_and_the_headline_counts_right_drapes_of_all_garments(
