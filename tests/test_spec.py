@@ -176,6 +176,13 @@ def test_written_and_read_is_the_same(tmp_path: Path) -> None:
     assert back.extra["parameters"] == {"a": 1}
 
 
+def test_a_file_of_megabytes_is_refused_before_it_is_parsed(tmp_path: Path) -> None:
+    path = tmp_path / "large_specification.json"
+    path.write_bytes(b"{}" + b" " * (4 << 20))
+    with pytest.raises(SpecError, match="more than 4 MB"):
+        read_pattern(path)
+
+
 finite = st.floats(-200, 200, allow_nan=False)
 
 

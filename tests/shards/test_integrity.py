@@ -20,7 +20,7 @@ from gcd_dataset.errors import ConfigError, GcdError, ShardError
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making.run import index
-from gcd_dataset.shards import ShardReader, encode_sample
+from gcd_dataset.shards import ShardReader, decode_sample, encode_sample
 from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.cache import make_room, size_in_bytes
 from gcd_dataset.shards.codec import decode_field
@@ -239,6 +239,20 @@ def test_numbers_beyond_the_index_and_samples_without_a_member_are_named(tmp_pat
     partial = {name: data for name, data in encode_sample(fake_sample(0, 1)).items() if name != "mesh.z"}
     with pytest.raises(ShardError, match=r"sample gcd_000000001: its members differ .* in mesh\.z: copy it again"):
         gather(Place(shard_of(tmp_path / "partial", members, partial)))
+
+
+def test_errors_about_contradictory_members_are_one_line() -> None:
+    members = encode_sample(fake_sample(0, 0))
+    with pytest.raises(ShardError, match="outcome 'FLEW'"):
+        drape = {**json.loads(members["meta.json"])["drape"], "outcome": "FLEW"}
+        decode_sample(resealed(members, drape=drape))
+    for entries in ({"vertex_labels": ["nobody"]}, {"grade": "good"}):
+        with pytest.raises(ShardError, match=r"gcd_000000000: .*contradict each other"):
+            decode_sample(resealed(members, **entries))
+    with pytest.raises(ShardError, match=r"member meta\.json: pattern is missing"):
+        meta = json.loads(members["meta.json"])
+        del meta["pattern"], meta["crc32_before"]
+        decode_sample({**members, "meta.json": sealed(meta)})
 
 
 def test_pictures_of_other_formats_or_a_hundred_million_pixels_are_not_decoded() -> None:
