@@ -6,7 +6,6 @@ and intersects the polylines. Points are complex numbers here, since a rotation 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import islice
 
 import numpy as np
@@ -18,8 +17,6 @@ from gcd_dataset.records import Panel
 
 TOUCH = 0.01  # cm: edges that meet within this distance of a shared corner do not cross
 SAMPLING = 0.15  # cm: mean spacing of the points that sample a curve
-FEW = 64  # edges: larger panels are swept; for smaller ones comparing all pairs is faster
-AT_ONCE = 1 << 19  # pairs of edges compared at once, in 30 MB
 MOST_CROSSINGS = 100  # reported for one panel
 APART = 1e-6  # gap [cm between boxes, rad between sectors]: a smaller one may be a rounding error
 
@@ -107,7 +104,7 @@ def _broad_phase(
     edges, sizes = np.concatenate(hulls), [len(panel) for panel in hulls]
     first = np.cumsum([0, *sizes])
     singles = np.flatnonzero(~_monotone(edges))
-    one, other = _near_pairs(edges, sizes, first[:-1].tolist())
+    one, other = _near_pairs(edges, sizes)
     follower = np.concatenate(
         [start + np.roll(np.arange(size), -1) for start, size in zip(first[:-1], sizes, strict=True)]
     )
@@ -125,68 +122,23 @@ def _broad_phase(
 
 
 def _near_pairs(
-    hulls: Complex[np.ndarray, "e 4"], sizes: Sequence[int], first: Sequence[int]
+    hulls: Complex[np.ndarray, "e 4"], sizes: Sequence[int]
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """All pairs of edges of one panel with touching bounding boxes, in order; panels begin at ``first``."""
-    found, few, count = [], [np.empty((2, 0), int)], 0
-    for size, start in zip(sizes, first, strict=True):
-        if size > FEW:
-            found.append(_sweep(hulls[start : start + size]) + start)
-            continue
-        few.append(_all_pairs(size) + start)
-        count += few[-1].shape[1]
-        if count > AT_ONCE:
-            found.append(_touching(hulls, np.concatenate(few, axis=1)))
-            few, count = [np.empty((2, 0), int)], 0
-    one, other = np.concatenate([*found, _touching(hulls, np.concatenate(few, axis=1))], axis=1)
+    """All pairs of edges of one panel with touching bounding boxes, in order."""
+    # Panels side by side: one tree serves all.
+    aside = np.repeat(np.arange(len(sizes)), sizes) * (np.ptp(hulls.real) + 1.0)
+    x, y = hulls.real + aside[:, None], hulls.imag
+    boxes = shapely.box(x.min(axis=1), y.min(axis=1), x.max(axis=1) + APART, y.max(axis=1) + APART)
+    pairs = shapely.STRtree(boxes).query(boxes)
+    pairs = pairs[:, pairs[0] < pairs[1]]
+    one, other = pairs[:, np.lexsort(pairs[::-1])]
     return one, other
-
-
-def _touching(hulls: Complex[np.ndarray, "e 4"], pairs: Int[np.ndarray, "2 n"]) -> Int[np.ndarray, "2 m"]:
-    return pairs[:, ~_boxes_apart(hulls, pairs[0], pairs[1])]
-
-
-@lru_cache(maxsize=FEW)
-def _all_pairs(size: int) -> Int[np.ndarray, "2 n"]:
-    return np.stack(np.triu_indices(size, k=1))
-
-
-def _sweep(hulls: Complex[np.ndarray, "e 4"]) -> Int[np.ndarray, "2 n"]:
-    """Pairs of edges of a panel with touching bounding boxes, in order: sweep and prune along the better axis."""
-    low = [part.min(axis=1) for part in (hulls.real, hulls.imag)]
-    high = [part.max(axis=1) for part in (hulls.real, hulls.imag)]
-    orders = [np.argsort(part, kind="stable") for part in low]
-    ahead = [
-        np.searchsorted(low[axis][order], high[axis][order] + APART, side="right") - 1 - np.arange(len(hulls))
-        for axis, order in enumerate(orders)
-    ]
-    axis = int(ahead[1].sum() < ahead[0].sum())
-    order, counts = orders[axis], ahead[axis]
-    found = []
-    for rows in np.split(np.arange(len(hulls)), np.flatnonzero(np.diff(np.cumsum(counts) // AT_ONCE)) + 1):
-        row = np.repeat(rows, counts[rows])
-        step = np.arange(len(row)) - np.repeat(np.cumsum(counts[rows]) - counts[rows], counts[rows])
-        one, other = order[row], order[row + 1 + step]
-        found.append(np.sort(_touching(hulls, np.stack([one, other])), axis=0))
-    pairs = np.concatenate(found, axis=1)
-    return pairs[:, np.lexsort(pairs[::-1])]
 
 
 def _monotone(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
     """Whether each edge advances along its chord throughout, by its hull, and so cannot meet itself."""
     legs = np.diff(hulls, axis=1)
     return ((legs * (hulls[:, -1:] - hulls[:, :1]).conj()).real >= 0).all(axis=1)
-
-
-def _boxes_apart(
-    hulls: Complex[np.ndarray, "e 4"], one: Int[np.ndarray, " n"], other: Int[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:
-    """Whether the bounding boxes of each pair of edges are disjoint."""
-    apart = np.zeros(len(one), bool)
-    for part in (hulls.real, hulls.imag):
-        low, high = part.min(axis=1), part.max(axis=1)
-        apart |= (low[one] > high[other] + APART) | (low[other] > high[one] + APART)
-    return apart
 
 
 def _sectors_apart(before: Complex[np.ndarray, "e 4"], after: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:

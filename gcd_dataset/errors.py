@@ -1,21 +1,5 @@
 """The exceptions of this package.
 
-    GcdError
-    ├── SpecError           a specification file that cannot be read
-    ├── PatternError        a pattern that cannot be sewn
-    │   └── FitError        a curve that cannot meet its length or tangent
-    ├── BodyError           a body that cannot be used or measured
-    ├── MeshError           a panel that cannot be meshed, a seam that cannot be merged
-    ├── DrapeError          a drape that cannot start (a garment without faces)
-    ├── ShardError          a data set on disk that is broken, foreign or too new
-    │   └── RemoteError      a server that does not answer, refuses, or sends wrong bytes
-    │       ├── MissingError a file or repository that the server does not have
-    │       └── RefusedError a file or repository that the server denies access to
-    ├── ConfigError         options that contradict each other, or that this machine cannot serve
-    │   └── ExtraMissing     a library of an extra that is not installed
-    ├── TransformError      a transform that raised on a garment; ``__cause__`` is the original error
-    └── OutputError         a file or folder that cannot be written
-
 Messages are one line: file or object, fault, remedy. ``gcd`` prints them unchanged.
 """
 

@@ -337,20 +337,14 @@ def require_closed(panel: Panel) -> None:
     """
     if not panel.edges:
         raise PatternError(f"panel {panel.name}: no edges: draw its outline")
-    for index, edge in enumerate(panel.edges):
+    drawn: tuple[Edge | InnerLine, ...] = (*panel.edges, *panel.lines)
+    for index, edge in enumerate(drawn):
+        is_line = index >= len(panel.edges)
+        where = f"panel {panel.name}, " + (f"line {index - len(panel.edges)}" if is_line else f"edge {index}")
         if min(edge.start, edge.end) < 0 or max(edge.start, edge.end) >= len(panel.vertices):
-            raise PatternError(
-                f"panel {panel.name}, edge {index}: no vertex {edge.start} or {edge.end}: correct its ends"
-            )
-        if panel.edges[index - 1].end != edge.start:
-            raise PatternError(
-                f"panel {panel.name}, edge {index}: does not start where the edge before ends: join them"
-            )
-    for index, line in enumerate(panel.lines):
-        if min(line.start, line.end) < 0 or max(line.start, line.end) >= len(panel.vertices):
-            raise PatternError(
-                f"panel {panel.name}, line {index}: no vertex {line.start} or {line.end}: correct its ends"
-            )
+            raise PatternError(f"{where}: no vertex {edge.start} or {edge.end}: correct its ends")
+        if not is_line and panel.edges[index - 1].end != edge.start:
+            raise PatternError(f"{where}: does not start where the edge before ends: join them")
 
 
 def _table(known: tuple[str, ...], labels: Iterable[str]) -> tuple[str, ...]:

@@ -157,7 +157,6 @@ class Garments(Dataset[GarmentFields], ABC):
         return self._load(self._position(index)) if several is None else self.__getitems__(several)
 
     def __iter__(self) -> Iterator[GarmentFields]:
-        """All garments in order."""
         return (self[index] for index in range(len(self)))
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
@@ -221,7 +220,6 @@ class Garments(Dataset[GarmentFields], ABC):
         return self._with(transform=None), self._transformed
 
     def _with(self, **attributes: Any) -> Any:
-        """A copy with other attributes."""
         other = copy(self)
         other.__dict__.update(attributes)
         return other
@@ -251,7 +249,6 @@ class Garments(Dataset[GarmentFields], ABC):
         return number if number is not None and number < len(self) else None
 
     def _key(self, position: int) -> str:
-        """The key of the garment at a position."""
         return key_of(position)
 
 

@@ -220,7 +220,6 @@ class _FakeTube:
 
 
 def _picture(random: np.random.Generator) -> bytes:
-    """A JPEG of one random colour."""
     file = io.BytesIO()
     colour = tuple(int(c) for c in random.integers(256, size=3))
     Image.new("RGB", (PICTURE, PICTURE), colour).save(file, "JPEG", quality=90)

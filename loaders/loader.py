@@ -244,7 +244,6 @@ class Batches:
         return self._count(self._present_share().positions(0))
 
     def __iter__(self) -> Iterator[Step]:
-        """The steps of the current pass."""
         start, end, epoch = self.start, self._order.end(self.start), self._order.epoch(self.start)
         positions, indices = self._rank_share.positions(start), self._rank_share.indices(start)
         for number in range(1, self._count(positions) + 1):

@@ -386,7 +386,6 @@ class Scan(SceneTransform):
 
 
 def _entries(scan: "PointScan") -> Item:
-    """The new entries of an item."""
     entries = {
         "scan": np.concatenate([scan.points, scan.normals], axis=1).astype(np.float32),
         "scan_panel_id": scan.panel_id.astype(np.int32),
@@ -455,7 +454,6 @@ class Sketch(SceneTransform):
         }
 
     def _entries(self, item: Item, use: int) -> Item:
-        """The new entries of an item."""
         from gcd_dataset.generator.render.sketches import NOBODY, sketch, sketch_camera
         from gcd_dataset.generator.views import stored_scene
 

@@ -275,7 +275,6 @@ class GarmentDataset(Garments):
         return None if self.source is None else self.source.rpartition("@")[2]
 
     def _available(self, members: Sequence[str]) -> dict[str, str]:
-        """Field of an item to its member."""
         return fields_of(member for member in members if member != MOTION)
 
     @property

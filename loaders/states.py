@@ -47,15 +47,11 @@ def position_in_state(state: Mapping[str, Any], order: Mapping[str, Any], datase
             raise _mismatch(name, _short_repr(state[name]), _short_repr(value))
     if not _equals(state["dataset"], dataset["dataset"]):
         raise _mismatch("dataset", _dataset_in_words(state), _dataset_in_words(dataset))
-    return require_whole("position", state["position"])
-
-
-def require_whole(name: str, value: Any) -> int:
-    """A state entry as an integer. Raises ``ConfigError`` unless it is an integer from 0 on."""
-    number = _as_integer(value)
+    number = _as_integer(state["position"])
     if number is None or not 0 <= number < LARGEST_POSITION:
         raise ConfigError(
-            f"the state has {name} {_short_repr(value)}, not a count: give one that state_dict() has returned"
+            f"the state has position {_short_repr(state['position'])}, not a count: give one that state_dict() has "
+            "returned"
         )
     return number
 

@@ -205,7 +205,6 @@ class Views(SceneTransform):
         return replace(scene, values=garment.values) if garment.values else scene
 
     def _entries(self, pictures: Sequence["Picture"]) -> Item:
-        """The new entries of an item."""
         first = pictures[0]
         entries: dict[str, np.ndarray] = {
             "views": np.stack([picture.rgb for picture in pictures]),

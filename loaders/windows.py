@@ -63,7 +63,6 @@ class MotionWindows(GarmentDataset):
         return int(self._starts[-1])
 
     def _garment(self, position: int) -> int:
-        """The garment of a window."""
         return int(np.searchsorted(self._starts, position, "right")) - 1
 
     def _locate(self, position: int) -> Any:

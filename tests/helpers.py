@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from gcd_dataset.curves import LINE
 from gcd_dataset.generator.device import Result, Resumable
-from gcd_dataset.records import Body, BoxMesh, Edge, EdgeRef, Measurements, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Body, BoxMesh, EdgeRef, Measurements, Pattern, Seam
+from tests.generator.mesh.shapes import panel, rectangle
 
 SIZE = Measurements(height=170.0, head_l=26.0, waist_line=37.0, neck_w=19.0, armscye_depth=13.0)
 
@@ -98,7 +98,5 @@ def tube(columns: int, rows: int, *, radius: float, spacing: float = 1.0, height
 
 def napkins() -> Pattern:
     """Two panels of 20 × 10 cm, sewn together."""
-    corners = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0]])
-    edges = tuple(Edge(i, (i + 1) % 4, LINE) for i in range(4))
-    panels = tuple(Panel(name, corners, edges, Placement(np.zeros(3), np.zeros(3))) for name in ("one", "two"))
+    panels = panel("one", rectangle(20, 10)), panel("two", rectangle(20, 10))
     return Pattern("napkins", panels, (Seam(EdgeRef("one", 1), EdgeRef("two", 3)),))

@@ -6,7 +6,6 @@ import shlex
 import shutil
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,12 @@ from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.shards.writer import Draft
-from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
-from tests.hub.server import Hub, running_hub
+from tests.hub import conftest
+from tests.hub.server import Hub
 from tests.shards import people
 from tests.shards.folders import contents, fill, open_writer
+
+hub, no_long_waits = conftest.hub, conftest.no_long_waits  # fixtures
 
 # Warnings inside ``huggingface_hub`` are not ours to fix.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
@@ -118,12 +119,6 @@ def test_sets_of_bodies_are_served_too(tmp_path: Path, capsys: Capture) -> None:
         assert main([verb, str(folder)]) == 0
     assert "nothing harmful found" in (text := said(capsys))
     assert "person" in text
-
-
-@pytest.fixture
-def hub() -> Iterator[Hub]:
-    with running_hub() as server:
-        yield server
 
 
 def small(out: Path, count: int) -> list[str]:

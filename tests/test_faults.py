@@ -22,15 +22,12 @@ from gcd_dataset.generator import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Closure, Edge, EdgeRef, InnerLine, LineRole, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern
+from tests.generator.mesh import shapes
 from tests.pleats import pleated_square
-
-HERE = Placement(np.zeros(3), np.zeros(3))
 
 
 def polygon(*corners: tuple[float, float], curves: Mapping[int, Curve] | None = None, name: str = "front") -> Panel:
-    count = len(corners)
-    edges = tuple(Edge(i, (i + 1) % count, (curves or {}).get(i, LINE)) for i in range(count))
-    return Panel(name, np.array(corners, float), edges, HERE)
+    return shapes.panel(name, corners, curves=curves)
 
 
 def square(name: str = "front", side: float = 10.0) -> Panel:
@@ -193,7 +190,6 @@ def test_each_rule_names_its_place_and_figure(rule: Rule) -> None:
     [
         ("velcro", (0.0, 1.0), "velcro: give one of sewn, open, zip, buttons"),
         (Closure.ZIP, (-0.1, 1.0), "closed from -0.1 to 1"),
-        (Closure.ZIP, (0.0, 1.5), "closed from 0 to 1.5"),
         (Closure.BUTTONS, (0.25, 0.75), ""),
         (Closure.OPEN, (0.0, 1.0), ""),
     ],
@@ -249,8 +245,6 @@ def named(*names: str) -> Pattern:
     [
         (" ", "has no name"),
         ("left\nsleeve", "'left\\nsleeve'"),
-        ("cuff\x07", "'cuff\\x07'"),
-        ("yoke\u2028", "'yoke\\u2028'"),
         ("cape\ud800", "'cape\\ud800'"),
     ],
 )
@@ -460,14 +454,8 @@ curves = st.one_of(
 loops = st.lists(st.tuples(coordinate, coordinate, curves), min_size=2, max_size=6)
 
 
-def cornered(corners: list[tuple[float, float]], bent: Mapping[int, Curve] | None = None) -> Panel:
-    count = len(corners)
-    edges = tuple(Edge(i, (i + 1) % count, (bent or {}).get(i, LINE)) for i in range(count))
-    return Panel("front", np.array(corners, float), edges, HERE)
-
-
 def bent_panel(loop: list[tuple[float, float, Curve]]) -> Panel:
-    shape = cornered([(x, y) for x, y, _ in loop], {i: curve for i, (_, _, curve) in enumerate(loop)})
+    shape = polygon(*((x, y) for x, y, _ in loop), curves={i: curve for i, (_, _, curve) in enumerate(loop)})
     steps = np.roll(shape.vertices, -1, axis=0) - shape.vertices
     assume((np.abs(steps).max(axis=1) > 0).all())
     return shape
@@ -509,28 +497,28 @@ def test_the_broad_phase_misses_no_crossing(loop: list[tuple[float, float, Curve
 
 def test_edges_that_run_back_over_themselves_and_each_other() -> None:
     there_and_back = [(0.0, 0.0), (10.0, 0.0), (4.0, 0.0), (4.0, 5.0)]
-    assert found(cornered(there_and_back)) == [(0, 1), (0, 2)]
+    assert found(polygon(*there_and_back)) == [(0, 1), (0, 2)]
     too_far = {0: Quadratic((1.5, 0.0))}  # runs along its chord, beyond the end, and back
-    assert (0, 0) in found(cornered([(0.0, 0.0), (10.0, 0.0), (5.0, 8.0)], too_far))
+    assert (0, 0) in found(polygon((0.0, 0.0), (10.0, 0.0), (5.0, 8.0), curves=too_far))
 
 
 def test_a_curve_that_runs_round_its_own_end_meets_the_next_edge() -> None:
     round_the_end = {0: Cubic((1.3, -0.9), (1.3, 0.9))}  # passes through (-1, 0) before it ends at (0, 0)
-    assert (0, 1) in found(cornered([(10.0, 0.0), (0.0, 0.0), (-4.0, 0.0), (3.0, -20.0)], round_the_end))
+    assert (0, 1) in found(polygon((10.0, 0.0), (0.0, 0.0), (-4.0, 0.0), (3.0, -20.0), curves=round_the_end))
 
 
 @pytest.mark.parametrize("right", [True, False])
 def test_a_large_arc_is_tested_beyond_its_chord(right: bool) -> None:
-    """A keyhole: a large arc, 10 cm across, over a 2 cm gap; it clears the cornered on one side only."""
+    """A keyhole: a large arc, 10 cm across, over a 2 cm gap; it clears the corners on one side only."""
     corners = [(0.0, 0.0), (4.0, 0.0), (6.0, 0.0), (10.0, 0.0), (10.0, 4.0), (0.0, 4.0)]
-    assert (found(cornered(corners, {1: Arc(5.0, True, right)})) == []) is right
+    assert (found(polygon(*corners, curves={1: Arc(5.0, True, right)})) == []) is right
 
 
 def test_two_thousand_edges_take_little_memory() -> None:
     """A comb: its teeth lie side by side, and the boxes of neighbouring edges overlap."""
     count = 1000
     top = [(0.5 * i, 100.0 * (i % 2) + 50.0) for i in range(count)]
-    comb = cornered([*top, (0.5 * count, 0.0), (0.0, 0.0)])
+    comb = polygon(*top, (0.5 * count, 0.0), (0.0, 0.0))
     tracemalloc.start()
     assert found(comb) == []
     assert tracemalloc.get_traced_memory()[1] < 30e6
@@ -538,14 +526,14 @@ def test_two_thousand_edges_take_little_memory() -> None:
 
 
 def test_at_most_a_hundred_crossings_of_a_panel_are_reported() -> None:
-    scribble = cornered([(float(x), float(y)) for x, y in np.random.default_rng(0).uniform(0, 100, (300, 2))])
+    scribble = polygon(*np.random.default_rng(0).uniform(0, 100, (300, 2)).tolist())
     assert len(found(scribble)) == crossings.MOST_CROSSINGS
 
 
 @pytest.mark.filterwarnings("error")
 def test_edges_of_almost_no_length_cross_nothing_without_warnings() -> None:
     tiny = 5e-324
-    assert found(cornered([(0, 0), (tiny, 0), (9, 9), (0, 1)])) == []
+    assert found(polygon((0, 0), (tiny, 0), (9, 9), (0, 1))) == []
 
 
 @pytest.mark.parametrize(

@@ -151,17 +151,13 @@ def test_what_is_no_regular_file_is_refused_and_never_waited_for(
 
 BROKEN: dict[str, str | bytes] = {
     "deep": "[" * 100_000 + "]" * 100_000,
-    "deep and open": '{"a":' * 100_000,
     "one level too deep": "[" * (DEEPEST + 1) + "]" * (DEEPEST + 1),
     "digits": "9" * 5000,
     "nan": "[NaN]",
-    "infinity": '{"a": -Infinity}',
     "overflow": "1e400",
-    "key twice": '{"front": 1, "back": 2, "front": 3}',
     "half a pair": r'"\ud800"',
     "key twice among many": "{" + ",".join(f'"k{number}": 0' for number in range(50_000)) + ',"z": 0, "z": 1}',
     "no JSON": "{",
-    "nothing": "",
     "latin": b'"\xe9"',
 }
 
@@ -208,12 +204,9 @@ KINDS: dict[str, tuple[str | bytes, str]] = {
     "svg.json": ("\ufeff<svg/>", "an SVG drawing"),
     "a.dxf": ("999\nby hand\n  0\r\nSECTION\r\n  2\r\n", "a DXF drawing"),
     "a.val": ('<?xml version="1.0"?>\n<!--x-->\n<pattern><version/></pattern>', "a file of Valentina or Seamly2D"),
-    "a.sm2d": ("damaged", "a file of Valentina or Seamly2D"),
     "a.zprj": (b"PK\x03\x04\x14", "a file of CLO or Marvelous Designer"),
     "zip.json": (b"PK\x03\x04\x14", "an archive, not a map: unpack it"),
     "a.obj": ("# by hand\no Cube\nv 1 2 3\n", "a mesh, not a map: if it is a body, give it as --body"),
-    "a.pdf": ("%PDF-1.7", "a PDF"),
-    "a.jpg": (b"\xff\xd8\xff\xe0", "a picture"),
     "page.json": ("\n<!DOCTYPE html>\n<svg>", "a web page, perhaps the error of a server, not a map: download"),
     "lfs.json": (
         "version https://git-lfs.github.com/spec/v1\noid",
@@ -251,10 +244,8 @@ def test_a_repeated_key_is_named_among_many() -> None:
 
 BROKEN_TOML = {
     "points = " + "9" * 5000: "Exceeds the limit (4300 digits) for integer string conversion",
-    "points = 0x" + "f" * 100 + "g": "correct the TOML",
     "a = " + "[" * 100_000: "nested too deep: flatten the TOML",
     "a = 1\na = 2": "Cannot overwrite a value",
-    "a = 2026-13-45": "correct the TOML",
     "= 1": "Invalid statement (at line 1, column 1): correct the TOML",
     ".".join("a" * 50_000) + " = 1": "nested too deep: flatten the TOML",
     ".".join("a" * 100) + " = 1": "nested too deep: flatten the TOML",
@@ -272,11 +263,7 @@ def test_broken_toml_is_one_line_with_file_and_remedy(text: str, tmp_path: Path)
     assert str(caught.value).isprintable()
 
 
-def test_other_encodings_and_places_are_reported(tmp_path: Path) -> None:
+def test_another_encoding_is_reported(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_bytes(b'a = "\xe9"')
     with pytest.raises(ConfigError, match=r"c\.toml: byte 5 is not valid UTF-8: correct the TOML"):
         read_toml(tmp_path / "c.toml")
-    with pytest.raises(ConfigError, match=r"no\.toml: no such file: give the path of a TOML file"):
-        read_toml(tmp_path / "no.toml")
-    with pytest.raises(ConfigError, match=r"cannot be read \(Is a directory\)"):
-        read_toml(tmp_path)

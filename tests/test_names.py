@@ -1,7 +1,6 @@
 """No name from a file or a server leads to a path outside its folder."""
 
 import re
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -14,7 +13,7 @@ import pytest
 
 from gcd_dataset.cli import main
 from gcd_dataset.errors import GcdError, OutputError, ShardError
-from gcd_dataset.exports.published import _name_in_release, export_published
+from gcd_dataset.exports.published import export_published
 from gcd_dataset.files import LONGEST, plain_names, require_name, safe_name
 from gcd_dataset.generator import fitting
 from gcd_dataset.generator.fitting import Fitting, write_fitting
@@ -29,9 +28,11 @@ from gcd_dataset.release.write import release_draft
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.index import index_name
 from gcd_dataset.shards.manifest import read_manifest
-from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
-from tests.hub.server import Hub, read_folder, running_hub
+from tests.hub import conftest
+from tests.hub.server import Hub, read_folder
 from tests.shards.folders import RECIPE
+
+hub, no_long_waits = conftest.hub, conftest.no_long_waits  # fixtures
 
 HOSTILE = {
     "parent": "..",
@@ -79,12 +80,6 @@ def outside(folder: Path, inner: Path) -> dict[str, bytes | None]:
         for path in folder.rglob("*")
         if not path.is_relative_to(inner) and not path.is_relative_to(folder / "home")
     }
-
-
-@pytest.fixture
-def hub() -> Iterator[Hub]:
-    with running_hub() as server:
-        yield server
 
 
 @cache
@@ -141,14 +136,6 @@ def test_a_split_of_a_data_set(victims: Path, shards: Path, name: str) -> None:
     assert main(["export", str(shards), "--hdf5", str(victims / "o.h5"), f"--split={name}"]) == 1
 
 
-@few_hostile
-def test_a_manifest(victims: Path, shards: Path, name: str) -> None:
-    data = shutil.copytree(shards, victims / "data")
-    (data / "manifest.json").write_bytes(manifest_with(shards, name))
-    with pytest.raises(ShardError, match=r"manifest\.json: .*split.* cannot be a file's name"):
-        GarmentDataset(data)
-
-
 def manifest_with(shards: Path, name: str) -> bytes:
     """The manifest with one more split, of that name; its digest is right."""
     manifest = read_manifest(shards)
@@ -198,16 +185,6 @@ def test_the_folder_that_a_download_makes(
     monkeypatch.chdir(victims)
     hub.static = {f"{name}/{path}": data for path, data in read_folder(shards).items()}
     assert main(["download", f"{hub.endpoint}/files/{name}", "--quiet"]) in (0, 1, 2)
-
-
-@hostile
-def test_the_place_of_a_garment_that_came_from_a_release(name: str) -> None:
-    for part in (1, 2, 3):
-        source = ["GarmentCodeData_v2", "garments_5000_0", "default_body", "rand_ABCDEFGHIJ"]
-        source[part] = name
-        place = _name_in_release("gcd_000000000", "/".join(source), "mean_all")
-        for component in (place.batch, place.body_folder, place.name):
-            assert require_name(component, "here") == component
 
 
 def test_where_a_garment_came_from(victims: Path) -> None:

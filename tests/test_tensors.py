@@ -1,7 +1,6 @@
 """Patterns as arrays survive encoding and decoding; their hash differs between patterns and agrees between machines."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +23,6 @@ from gcd_dataset.records import (
     Placement,
     Seam,
 )
-from gcd_dataset.spec import read_pattern
 from gcd_dataset.tensors import (
     EDGE_LABELS,
     PANEL_LABELS,
@@ -38,6 +36,7 @@ from gcd_dataset.tensors import (
     encode_pattern,
     sewn_rows,
 )
+from tests.generator.mesh import shapes
 from tests.helpers import napkins
 
 LOSSLESS = 1e-4  # cm
@@ -150,14 +149,6 @@ def test_any_pattern_survives(one: Panel, two: Panel, right_wrong: bool) -> None
     assert_same(again(pattern), pattern)
 
 
-def test_real_patterns_survive(examples: Path) -> None:
-    paths = sorted((examples / "patterns").rglob("*_specification.json"))
-    assert paths
-    for path in paths:
-        pattern = read_pattern(path)
-        assert_same(again(pattern), pattern)
-
-
 @pytest.mark.parametrize("chord", [1.0, 1e-2, 1e-4, 1e-6])
 def test_a_circle_that_all_but_closes_survives(chord: float) -> None:
     """The ends of a circular skirt's hem nearly touch, far from the origin; their direction fixes the far side."""
@@ -261,9 +252,7 @@ def test_roles_have_the_numbers_that_stored_tensors_have() -> None:
 
 
 def test_labels_come_back_as_roles_and_other_texts_as_they_are() -> None:
-    edges = tuple(Edge(i, (i + 1) % 4, label=label) for i, label in enumerate(("", "left_collar", "pocket", "")))
-    corners = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]])
-    panel = Panel("front", corners, edges, Placement(np.zeros(3), np.zeros(3)), "arm")
+    panel = replace(shapes.panel("front", shapes.rectangle(9, 9), labels={1: "left_collar", 2: "pocket"}), label="arm")
     (read,) = decode_pattern(encode_pattern(Pattern("shirt", (panel,), ()))).panels
     assert read.label is PanelRole.ARM
     assert sorted(edge.label for edge in read.edges) == ["", "", "left_collar", "pocket"]

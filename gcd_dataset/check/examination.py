@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gcd_dataset.check import checks
 from gcd_dataset.check.checks import Check, Harm
 from gcd_dataset.check.files import published_faults, set_faults
 from gcd_dataset.check.garments import FIELDS_READ, CheckedGarment, Fault, item_faults
 from gcd_dataset.check.report import Report, SplitSummary, Tally
-from gcd_dataset.check.sets import Census, SplitCensus
+from gcd_dataset.check.sets import Census, SplitCensus, evenly_spaced
 from gcd_dataset.errors import ConfigError, GcdError, RemoteError, ShardError
 from gcd_dataset.filekinds import is_published
 from gcd_dataset.files import user_path
@@ -216,7 +214,8 @@ class _Examination:
         if split.garments is None:
             self.tally.add(checks.UNREADABLE, split.name, "", [split.problem])
             return
-        positions = _positions(len(split.garments), QUICK if self.quick else None)
+        count = len(split.garments)
+        positions = evenly_spaced(count, QUICK) if self.quick else range(count)
         progress = Progress(len(positions), 0, split=split.name)
         self._on_progress(progress)
         for position, item in _items(split.garments, positions):
@@ -287,13 +286,6 @@ class _Examination:
 
     def _key(self, split: str, row: int) -> str:
         return self._split(split).key(self.census.splits[split].position[row])
-
-
-def _positions(count: int, most: int | None) -> list[int]:
-    """All positions, or ``most`` of them, evenly spaced."""
-    if most is None or count <= most:
-        return list(range(count))
-    return np.unique(np.linspace(0, count - 1, most).astype(int)).tolist()
 
 
 def _items(garments: Garments, positions: Sequence[int]) -> Iterator[tuple[int, Mapping[str, Any] | GcdError]]:

@@ -399,10 +399,7 @@ def loop_outwardness(
 
     ``loops``: signed areas [cm²]; ``centre``: of each panel in space [cm]; ``across``: the panels' unit z axes.
     """
-    weight = np.abs(loops)
-    away = centre - np.average(centre, axis=0, weights=np.maximum(weight, 1e-12))
-    total = float(weight @ np.linalg.norm(away, axis=1))
-    return float(((loops[:, None] * across) * away).sum()) / total if total > 0 else 0.0
+    return _outwardness(loops[:, None] * across, centre)
 
 
 def outwardness(placed: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> float:
@@ -411,9 +408,11 @@ def outwardness(placed: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"])
     1 for a sphere whose normals point outwards; by the divergence theorem the sum is 3 · volume for a closed surface.
     """
     corners = placed[faces].astype(float)
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return _outwardness(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), corners.mean(axis=1))
+
+
+def _outwardness(area: Float[np.ndarray, "n 3"], centre: Float[np.ndarray, "n 3"]) -> float:
     weight = np.linalg.norm(area, axis=1)
-    centre = corners.mean(axis=1)
     away = centre - np.average(centre, axis=0, weights=np.maximum(weight, 1e-12))
     total = float(weight @ np.linalg.norm(away, axis=1))
     return float((area * away).sum()) / total if total > 0 else 0.0
@@ -422,7 +421,6 @@ def outwardness(placed: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"])
 OPEN = 0.2  # share of a seam's mesh edges on the border of the mesh, above which it is open
 RATIO = 0.01  # relative error of a stored gather ratio
 GATHERED = 6.0  # ratio of two lengths sewn together; ruffles of the design space reach 2, of the published data 3
-SLACK = 0.5  # cm: a difference of two lengths that any seam absorbs
 
 
 def sewing_faults(

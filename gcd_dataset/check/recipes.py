@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gcd_dataset.check.sets import evenly_spaced
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.recipe import recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe, recipe_names
@@ -96,7 +97,7 @@ def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[
 
 def _sampled_faults(folder: Path, readers: Iterable[ShardReader], recipe: Recipe) -> Iterator[str]:
     """Make the patterns of some designs again and compare them with the stored ones; one line for each difference."""
-    designs = np.unique(np.linspace(0, recipe.designs - 1, min(recipe.designs, SAMPLED)).astype(int)).tolist()
+    designs = evenly_spaced(recipe.designs, SAMPLED)
     log.info("%s has no hash of all its patterns: %d designs are made again", recipe.name, len(designs))
     made = {index: garments for index, *garments in made_patterns(recipe, designs)}
     for reader in readers:

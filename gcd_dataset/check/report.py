@@ -98,10 +98,9 @@ class Report:
         """The findings that stop or spoil a training."""
         return tuple(finding for finding in self.findings if finding.harm is Harm.HARMFUL)
 
-    def finding(self, name: str, split: str | None = None) -> Finding | None:
-        """The first finding of a check, in one split or any; ``None`` without one."""
-        matches = (f for f in self.findings if f.check.name == name and split in (None, f.split))
-        return next(matches, None)
+    def finding(self, name: str) -> Finding | None:
+        """The first finding of a check; ``None`` without one."""
+        return next((finding for finding in self.findings if finding.check.name == name), None)
 
     def to_json(self) -> dict[str, Any]:
         """The whole report as JSON values."""

@@ -136,6 +136,11 @@ def _kinds(garment: CheckedGarment) -> dict[str, str]:
     return {name: value for name, value in (known | kinds_of(garment.design)).items() if value}
 
 
+def evenly_spaced(count: int, most: int) -> list[int]:
+    """At most ``most`` of ``count`` positions."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)).tolist()
+
+
 def kinds_of(design: Mapping[str, Any] | None) -> dict[str, str]:
     """The choices of garment types in a tree of design parameters, as far as known."""
     chosen: Any = (design or {}).get("meta")

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from gcd_dataset.check.files import layout_of
-from gcd_dataset.check.sets import kinds_of
+from gcd_dataset.check.sets import evenly_spaced, kinds_of
 from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.codec import decode_field, opened_picture
 from gcd_dataset.shards.index import GRADES
@@ -85,15 +85,10 @@ def _recipe_lines(record: SplitRecord) -> Iterator[str]:
 
 def _bytes_by_member(reader: ShardReader, members: Sequence[str]) -> dict[str, int]:
     amounts: Counter[str] = Counter()
-    for content in reader.read_many(_chosen(reader, WEIGHED), members):
+    for content in reader.read_many(evenly_spaced(len(reader), WEIGHED), members):
         for member, data in content.items():
             amounts[_stem(member)] += len(data)
     return dict(amounts)
-
-
-def _chosen(reader: ShardReader, count: int) -> list[int]:
-    """At most ``count`` evenly spaced positions."""
-    return np.unique(np.linspace(0, len(reader) - 1, min(len(reader), count)).astype(int)).tolist()
 
 
 def _stem(member: str) -> str:
@@ -106,7 +101,7 @@ def _content_lines(reader: ShardReader, present: Sequence[str]) -> Iterator[str]
     """Outcomes, wearers and types of garments, from the ``present`` members at evenly spaced positions."""
     member_of = fields_of(present)
     members = [member_of[field] for field in ("meta", "design", "caption") if field in member_of]
-    chosen = _chosen(reader, SAMPLED)
+    chosen = evenly_spaced(len(reader), SAMPLED)
     counts: dict[str, Counter[str]] = {name: Counter() for name in ("outcome", "wearer", "upper", "bottom")}
     panels, tags, captions = [], Counter[str](), []
     for content in reader.read_many(chosen, members):
@@ -136,7 +131,7 @@ def _content_lines(reader: ShardReader, present: Sequence[str]) -> Iterator[str]
 
 def _view_size(reader: ShardReader, member: str) -> str:
     """Size of the first garment's view."""
-    with opened_picture(reader.read(0, [member])[member], ("JPEG",)) as picture:
+    with opened_picture(reader.read(0, [member])[member]) as picture:
         return f"{picture.width} x {picture.height} pixels"
 
 

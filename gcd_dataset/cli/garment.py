@@ -75,7 +75,6 @@ def add_verbs(verbs: Any) -> None:
 
 
 def _add_draping(drape: Parser) -> None:
-    """Add the options of ``_drape``."""
     add_body(drape)
     drape.add_argument("--fabric", default="default", metavar="NAME", help=f"{FABRICS} (default: default)")
     drape.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for meshes, pictures, report")

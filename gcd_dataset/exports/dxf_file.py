@@ -191,7 +191,6 @@ def _places(boxes: Float[np.ndarray, "p 2 2"]) -> Float[np.ndarray, "p 2"]:
 
 
 def _identifier(name: str) -> str:
-    """The name of a block or a layer."""
     return re.sub(r"[^A-Za-z0-9-]", "_", name)
 
 

@@ -339,7 +339,6 @@ def _draw_marks(canvas: Any, sheet: _PaperSheet, page: Page) -> None:
 
 
 def _ink(canvas: Any, colour: RGB) -> None:
-    """Draw and write in this colour."""
     shares = [channel / 255 for channel in colour]
     canvas.setStrokeColorRGB(*shares)
     canvas.setFillColorRGB(*shares)
@@ -390,16 +389,6 @@ def _draw_piece(canvas: Any, piece: CutPiece, size: str) -> None:
 
 def _write_texts(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
     """Name of a piece and numbers of its seams."""
-    _write_name(canvas, piece, name, latin)
-    canvas.setFillGray(GREY)
-    for number in piece.numbers:
-        size = min(SMALL, 0.3 * number.room)
-        x, y = (number.point + 1.4 * size * number.inward).tolist()
-        _text(canvas, number.text, x, y - 0.35 * size, size)
-    canvas.setFillGray(0)
-
-
-def _write_name(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
     notes = f"{'' if name == latin else f'{latin}: '}cut 1, right side up"
     room = NAME_SHARE * piece.name_room
     x, y = piece.name_at.tolist()
@@ -407,6 +396,12 @@ def _write_name(canvas: Any, piece: CutPiece, name: str, latin: str) -> None:
     _text(canvas, name, x, y, largest, font=BOLD, room=room)
     small = min(SMALL, 0.7 * largest)
     _text(canvas, notes, x, y - 1.4 * small, small, room=room)
+    canvas.setFillGray(GREY)
+    for number in piece.numbers:
+        size = min(SMALL, 0.3 * number.room)
+        x, y = (number.point + 1.4 * size * number.inward).tolist()
+        _text(canvas, number.text, x, y - 0.35 * size, size)
+    canvas.setFillGray(0)
 
 
 def _draw_fold(canvas: Any, fold: Float[np.ndarray, "2 2"]) -> None:
@@ -502,7 +497,7 @@ def _draw_legend(canvas: Any, sheet: _PaperSheet, left: float, top: float) -> No
     _text(canvas, "10 cm × 10 cm", 5.0, -7.2, 0.6, font=BOLD)
     _text(canvas, "Measure both sides. Print at 100 %,", 5.0, -8.2, TINY)
     _text(canvas, "without “fit to page”.", 5.0, -8.7, TINY)
-    _draw_key(canvas, sheet, 10.8, -2.6)
+    _draw_key(canvas, 10.8, -2.6)
     _list_pieces(canvas, sheet, -13.3)
     _draw_map(canvas, sheet, -LEGEND[1] + MAP[1])
     canvas.restoreState()
@@ -519,8 +514,7 @@ def _cloth_lengths(sheet: _PaperSheet) -> str:
     return f"cloth length, along the grain in one layer: {', '.join(texts)}"
 
 
-def _draw_key(canvas: Any, sheet: _PaperSheet, x: float, y: float) -> None:
-    """The meaning of the lines."""
+def _draw_key(canvas: Any, x: float, y: float) -> None:
     middle, end = x + 0.75, x + 1.5
     texts = (
         "cut line",

@@ -122,12 +122,8 @@ def _write_garments(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> 
             sample = reader.sample(position)
             published = _published_name(sample, split, first_batch)
             last = max(last, _design_number(sample))
-            _write(
-                sample,
-                published,
-                draft,
-                batches.setdefault((published.batch, published.body_folder), _PublishedBatch()),
-            )
+            batch = batches.setdefault((published.batch, published.body_folder), _PublishedBatch())
+            _write(sample, published, draft, batch)
             if sample.drape is not None and sample.drape.outcome is Outcome.SETTLED:
                 listed[published.listed] = None
             yield published.name
@@ -144,11 +140,7 @@ def _write(sample: Sample, published: PublishedName, draft: ReleaseDraft, batch:
     if not draft.holds(folder):
         files = garment_files(sample, published.name, tree, _drawing(sample), body_sample=published.body_sample)
         draft.put(folder, files)
-    _add_properties(sample, published.name, tree, batch)
-
-
-def _add_properties(sample: Sample, name: str, tree: Mapping[str, Any], batch: _PublishedBatch) -> None:
-    drape, mesh = sample.drape, sample.box_mesh
+    name, drape, mesh = published.name, sample.drape, sample.box_mesh
     assert drape is not None
     assert mesh is not None
     batch.panels[name] = len(sample.pattern.panels)

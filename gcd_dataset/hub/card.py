@@ -192,7 +192,6 @@ def _thing(kind: str, name: str, **properties: Any) -> dict[str, Any]:
 
 
 def _file_set(split: str, record: SplitRecord) -> dict[str, Any]:
-    """The ``FileSet`` of all files in the shards of a split."""
     tars = [{"@id": shard.name(split)} for shard in record.shards]
     # Not "*": mlcroissant would take the folder of an extracted shard for a file.
     return _thing("cr:FileSet", f"{split}-files", containedIn=tars, encodingFormat=BYTES, includes="*.*")

@@ -135,9 +135,9 @@ def mean_scores(scores: Sequence[PatternScore]) -> PatternScore:
 
 
 def bootstrap_means(
-    values: Float[np.ndarray, "n k"], rng: np.random.Generator, *, share: float = 0.95, draws: int = 1000
+    values: Float[np.ndarray, "n k"], rng: np.random.Generator, *, draws: int = 1000
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Lower and upper ends of the ``share`` confidence interval of the mean of each column (percentile bootstrap).
+    """Lower and upper ends of the 95 % confidence interval of the mean of each column (percentile bootstrap).
 
     ``draws``: number of resampled test sets. Raises ``ValueError`` without rows. Efron and Tibshirani, An Introduction
     to the Bootstrap (1993), chapter 13.
@@ -147,7 +147,7 @@ def bootstrap_means(
         raise ValueError("no values to take the mean of")
     parts = [min(DRAWS_AT_ONCE, draws - first) for first in range(0, draws, DRAWS_AT_ONCE)]
     means = [rng.multinomial(count, np.full(count, 1 / count), size=part) @ values / count for part in parts]
-    low, high = np.quantile(np.concatenate(means), [(1 - share) / 2, (1 + share) / 2], axis=0)
+    low, high = np.quantile(np.concatenate(means), [0.025, 0.975], axis=0)
     return low, high
 
 

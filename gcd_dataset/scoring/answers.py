@@ -129,7 +129,6 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
 
 
 def _from_tensors(path: Path, name: str) -> Pattern:
-    """The pattern of a ``PatternTensor``'s arrays."""
     try:
         found = {key: rows.astype(float) for key, rows in read_arrays(path, TENSORS, ("lines", "closures")).items()}
     except UNREADABLE as cause:

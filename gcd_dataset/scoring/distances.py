@@ -20,6 +20,7 @@ from gcd_dataset.errors import SpecError
 from gcd_dataset.files import open_regular
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.generator.quality import sample_surface
+from gcd_dataset.meshedges import mesh_edges
 
 WORST = 100.0  # cm: the distance of a failed prediction, and the largest that is reported
 SAMPLES = 4096  # points of a surface
@@ -101,8 +102,8 @@ def mean_and_p95(one: Shape, other: Shape, *, both_ways: bool = True) -> tuple[f
 
 def openings_of(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> list[Float[np.ndarray, "n 3"]]:
     """Points [cm] on each opening of a sewn mesh: hem, sleeve end, neckline, waist or slit, a loop of unsewn edges."""
-    sides, times = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0, return_counts=True)
-    rim = sides[times == 1]
+    edges = mesh_edges(faces)
+    rim = edges.ends[edges.counts == 1]
     touching = coo_matrix((np.ones(len(rim)), rim.T), shape=(len(vertices),) * 2)
     number = connected_components(touching, directed=False)[1][rim[:, 0]]
     start, end = np.asarray(vertices, float)[rim.T][:, :, None]

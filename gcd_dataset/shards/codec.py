@@ -402,7 +402,6 @@ LABELS = ("panel_names", "panel_labels", "edge_labels", "vertex_labels")
 
 
 def _worn_entry(garment: WornGarment, tensor: PatternTensor) -> dict[str, Any]:
-    """A garment as an entry of ``outfit``."""
     mesh, drape, fabric = garment.box_mesh, garment.drape, garment.fabric
     strain, figures = None if drape is None else drape.strain, dict(NO_DRAPE)
     if drape is not None:
@@ -726,8 +725,8 @@ DERIVED: Mapping[str, Callable[[Mapping[str, np.ndarray]], np.ndarray]] = {
 
 
 @contextlib.contextmanager
-def opened_picture(data: Bytes, formats: tuple[str, ...]) -> "Iterator[ImageFile.ImageFile]":
-    """The picture in a member; its pixels are decoded inside the block. ``formats``: Pillow's names of decoders.
+def opened_picture(data: Bytes) -> "Iterator[ImageFile.ImageFile]":
+    """The JPEG in a member; its pixels are decoded inside the block.
 
     Raises ``ShardError`` for a broken picture, another format, or more than ``MOST_PIXELS`` pixels.
     """
@@ -735,7 +734,7 @@ def opened_picture(data: Bytes, formats: tuple[str, ...]) -> "Iterator[ImageFile
 
     bombs = (Image.DecompressionBombError, Image.DecompressionBombWarning)
     try:
-        with Image.open(io.BytesIO(data), formats=formats) as image:
+        with Image.open(io.BytesIO(data), formats=("JPEG",)) as image:
             if image.width * image.height > MOST_PIXELS:
                 raise ShardError(f"a picture of {image.width} x {image.height} pixels, over the limit of {MOST_PIXELS}")
             yield image
@@ -747,7 +746,7 @@ def _picture(data: Bytes) -> np.ndarray:
     """The picture as u8 [3, height, width]; [3, 0, 0] for ``NO_PICTURE``."""
     if data == NO_PICTURE:
         return np.zeros((3, 0, 0), np.uint8)
-    with opened_picture(data, ("JPEG",)) as image:
+    with opened_picture(data) as image:
         pixels = np.asarray(image.convert("RGB"))
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))
 

@@ -167,7 +167,6 @@ class Columns:
 
 
 def _file_name(field: str, single: bool) -> str:
-    """The file name of a field's column."""
     name = field if field in SECTIONS or field == MEASURES_FIELD else member_of(field)
     return f"{name}.f4" if single and field in DOUBLE else name
 

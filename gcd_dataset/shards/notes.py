@@ -374,7 +374,6 @@ def rejects_bytes(lines: Iterable[Mapping[str, Any]]) -> bytes:
 
 
 def _notes(place: Place, names: frozenset[str], shards: list[tuple[str, int]]) -> list[Note]:
-    """The notes of shards, in order."""
     there = [shard for shard in shards if note_name(*shard) in names]
     content = place.read([note_name(*shard) for shard in there])
     notes = {

@@ -135,7 +135,6 @@ def _differences(columns: Int[np.ndarray, "k n"], order: int) -> Int[np.ndarray,
 
 
 def _planes(columns: Int[np.ndarray, "k n"]) -> tuple[bytes, int]:
-    """The planes of bytes, and their number."""
     codes = ((columns << 1) ^ (columns >> 31)).view(np.uint32)
     count = max((int(codes.max(initial=0)).bit_length() + 7) // 8, 1)
     return b"".join((codes >> 8 * plane).astype(np.uint8).tobytes() for plane in range(count)), count

@@ -174,7 +174,6 @@ def vertex_stretch(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Float[n
 
 
 def _values(sample: Sample) -> dict[str, Float[np.ndarray, " v"]]:
-    """See ``Content.values``."""
     if sample.maps is not None:
         return {**sample.maps.by_vertex, "stretch": sample.maps.stretch[:, 0]} if sample.maps.is_known else {}
     mesh, drape = sample.box_mesh, sample.drape

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 LEVELS = 1025  # colours of a scale
 SHARPNESS = 2  # rays along each side of a pixel
+SHEET = 512  # pixels of a picture on a sheet
 BAR = 12  # height of the legend's bars [pixels]
 WHITE = Print(colours=((1.0, 1.0, 1.0),) * 4)
 MIDDLE = (237, 235, 227)
@@ -90,16 +91,16 @@ def map_pictures(sample: Sample, *, size: int, sides: Sequence[str] = ("front",)
     return found
 
 
-def maps_sheet(sample: Sample, *, size: int = 512) -> UInt8[np.ndarray, "h w 3"]:
+def maps_sheet(sample: Sample) -> UInt8[np.ndarray, "h w 3"]:
     """Control pictures of front and back; of a sample with maps, both in each of ``SCALES`` too, above the legend.
 
     Raises ``ConfigError`` for a sample without a drape, on a body of another model, or whose drape diverged or was not
     made.
     """
-    pictures = control_pictures(sample, size=size)
+    pictures = control_pictures(sample, size=SHEET)
     if sample.maps is None:
         return contact_sheet(pictures, columns=len(SCALES))
-    pictures += map_pictures(sample, size=size, sides=("front", "back"))
+    pictures += map_pictures(sample, size=SHEET, sides=("front", "back"))
     return with_legend(contact_sheet(pictures, columns=len(SCALES)))
 
 
@@ -119,9 +120,7 @@ def control_pictures(sample: Sample, *, size: int) -> list[UInt8[np.ndarray, "h 
     return found
 
 
-def textured_sheet(
-    sample: Sample, *, textures: Mapping[str, Path | str], size: int = 512
-) -> UInt8[np.ndarray, "h w 3"]:
+def textured_sheet(sample: Sample, *, textures: Mapping[str, Path | str]) -> UInt8[np.ndarray, "h w 3"]:
     """``sample_sheet`` with front and back in the cloth of image files, by panel: see ``render.with_textures``.
 
     Raises ``ConfigError`` as ``maps_sheet`` does, for a panel that the garment lacks, and for an unreadable image.
@@ -136,8 +135,8 @@ def textured_sheet(
     look = with_textures(plain_view(scene).appearance, scene, images, garment=sample.key)
     cameras = [fixed_camera(scene, side) for side in ("front", "back")]
     views = [View(0, look, camera, Lights(-camera.rotation[2], exposure=0.5), PAGE) for camera in cameras]
-    front, back = (png_bytes(picture.rgb) for picture in render([scene], views, size=size))
-    return sample_sheet(replace(sample, front=front, back=back), size=size)
+    front, back = (png_bytes(picture.rgb) for picture in render([scene], views, size=SHEET))
+    return sample_sheet(replace(sample, front=front, back=back), size=SHEET)
 
 
 def _scene(sample: Sample) -> "Scene":

@@ -28,6 +28,7 @@ from gcd_dataset.viewer.notebook import asset, inline_svg, picture, script_data,
 
 SCRIPTS = ("geometry.js", "scale.js", "garment.js", "picture.js", "page.js")
 LEVELS = 65535  # steps of a quantised coordinate: 0.003 cm for a garment of 2 m
+DENSE = 0.25  # cm between points of an outline
 COMPRESSION = 6  # of zlib: level 9 takes three times as long and saves 0.3 %
 KEPT_MESHES = 2  # bodies' faces, packed
 LIGHTENING = 0.15  # share of white in the colours of panels
@@ -260,11 +261,11 @@ def _segments(
     return pairs[order], seams[order]
 
 
-def _dense(line: Float[np.ndarray, "n 2"], spacing: float = 0.25) -> Float[np.ndarray, "m 2"]:
-    """Points along a polyline at most ``spacing`` cm apart, without its ends, which belong to two edges."""
+def _dense(line: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
+    """Points along a polyline at most ``DENSE`` apart, without its ends, which belong to two edges."""
     lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
-    count = max(3, int(np.ceil(along[-1] / spacing)))
+    count = max(3, int(np.ceil(along[-1] / DENSE)))
     at = (np.arange(count) + 0.5) / count * along[-1]
     return np.stack([np.interp(at, along, line[:, 0]), np.interp(at, along, line[:, 1])], axis=1)
 

@@ -4,27 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from gcd_dataset.curves import LINE, Arc, Curve, sample_curve
-from gcd_dataset.records import Edge, EdgeRef, InnerLine, LineRole, Panel, Pattern, Placement, Seam
+from gcd_dataset.curves import Arc, sample_curve
+from gcd_dataset.records import EdgeRef, InnerLine, LineRole, Panel, Pattern, Seam
+from tests.generator.mesh.shapes import panel, rectangle
 
-NOWHERE = Placement(np.zeros(3), np.zeros(3))
 SIDE = 40.0  # cm, of the squares
 DART_MOUTH, DART_DEPTH = 4.0, 12.0  # cm
 RADIUS = 30.0  # cm, of the quarter circle
 
 
-def panel_of(name: str, corners: list[tuple[float, float]], curves: dict[int, Curve] | None = None) -> Panel:
-    """A panel through corners, with straight edges except the given ones."""
-    count = len(corners)
-    edges = tuple(Edge(i, (i + 1) % count, (curves or {}).get(i, LINE)) for i in range(count))
-    return Panel(name, np.array(corners), edges, NOWHERE)
-
-
 def square(name: str, *, fold: int | None = None) -> Panel:
     """A square of 40 cm, counter-clockwise from the lower left; edge ``fold`` lies at a fold."""
-    panel = panel_of(name, [(0, 0), (SIDE, 0), (SIDE, SIDE), (0, SIDE)])
-    edges = tuple(replace(edge, label="fold") if i == fold else edge for i, edge in enumerate(panel.edges))
-    return replace(panel, edges=edges)
+    return panel(name, rectangle(SIDE, SIDE), labels={} if fold is None else {fold: "fold"})
 
 
 def squares() -> Pattern:
@@ -82,14 +73,14 @@ def darted() -> Pattern:
     """A square with a dart in the middle of its upper edge."""
     half, middle = DART_MOUTH / 2, SIDE / 2
     corners = [(0, 0), (SIDE, 0), (SIDE, SIDE), (middle + half, SIDE), (middle, SIDE - DART_DEPTH)]
-    panel = panel_of("front", [*corners, (middle - half, SIDE), (0, SIDE)])
-    return Pattern("darted", (panel,), (Seam(EdgeRef("front", 3), EdgeRef("front", 4)),))
+    front = panel("front", [*corners, (middle - half, SIDE), (0, SIDE)])
+    return Pattern("darted", (front,), (Seam(EdgeRef("front", 3), EdgeRef("front", 4)),))
 
 
 def quarter_circle() -> Pattern:
     """A quarter of a circle of 30 cm: two radii and an arc."""
     arc = Arc(RADIUS, large=False, right=True)
-    return Pattern("quarter", (panel_of("quarter", [(0, 0), (RADIUS, 0), (0, RADIUS)], {1: arc}),), ())
+    return Pattern("quarter", (panel("quarter", [(0, 0), (RADIUS, 0), (0, RADIUS)], curves={1: arc}),), ())
 
 
 def exact_area(panel: Panel) -> float:

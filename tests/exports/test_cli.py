@@ -67,13 +67,7 @@ def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_pat
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (
-            ["SHARDS", "--index", "1", "--glb", "a.glb"],
-            1,
-            "sample gcd_000000001 holds no drape: make the data set with",
-        ),
         (["SHARDS", "--index", "2", "--pdf", "a.pdf"], 1, "garment 2 of 2: give one from 0 to 1"),
-        (["SHARDS", "--glb", "a.gltf"], 2, "a.gltf: the file is GLB: end its name in .glb"),
         (["SHARDS", "--glb", "a.glb", "--pdf", "a.pdf"], 2, "--glb, --obj, --ply, --usd, --dxf, --pdf: one of them"),
         (["SHARDS", "--glb", "a.glb", "--tile", "0"], 2, "a texture tile of 0 cm: give one from 0.01 to 10000 cm"),
         (
@@ -82,16 +76,9 @@ def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_pat
             "--index is for --glb, --obj, --ply, --usd, --dxf, --pdf: leave",
         ),
         (["SHARDS", "--ply", "a.ply", "--no-body"], 2, "--no-body is for --glb, --obj, --usd: leave it out"),
-        (["SHARDS", "--pdf", "a.pdf", "--paper", "a"], 2, "no paper a: choose from a4, letter"),
         (["SPEC", "--pdf", "no/such/a.pdf"], 1, "no/such/a.pdf: cannot be written"),
         (["SPEC", "SPEC", "--glb", "a.glb"], 2, "--glb a.glb: 2 files are exported: give a folder"),
         (["SPEC", "--pdf", "a.pdf", "--index", "0"], 2, "--index is for a data set, and"),
-        (
-            ["SPEC", "--dxf", "a.dxf", "--seam-allowance", "-1"],
-            2,
-            "a seam allowance of -1 cm: give one from 0 to 10 cm",
-        ),
-        (["missing.json", "--pdf", "a.pdf"], 1, "missing.json: no such file"),
     ],
 )
 def test_errors_are_one_line_with_a_remedy(

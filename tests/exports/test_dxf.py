@@ -15,7 +15,8 @@ from gcd_dataset.errors import ConfigError, ExtraMissing
 from gcd_dataset.exports import dxf
 from gcd_dataset.records import Pattern, Sample
 from tests.exports.dxf_reader import Block, layers_of, read_dxf
-from tests.exports.patterns import NAMES, SIDE, darted, exact_area, lined, named, panel_of, square, squares
+from tests.exports.patterns import NAMES, SIDE, darted, exact_area, lined, named, square, squares
+from tests.generator.mesh import shapes
 
 ALLOWED = {
     "1": {"POLYLINE", "TEXT"},
@@ -159,7 +160,7 @@ def test_equal_patterns_give_equal_bytes(tmp_path: Path) -> None:
 
 def test_small_pieces_keep_their_texts_small(tmp_path: Path) -> None:
     corners = [(0.0, 0.0), (6.0, 0.0), (6.0, 6.0), (0.0, 6.0)]
-    tab = Pattern("tab", (square("cloth"), panel_of("tab_of_the_left_front_pocket", corners)), ())
+    tab = Pattern("tab", (square("cloth"), shapes.panel("tab_of_the_left_front_pocket", corners)), ())
     block = read_of(tab, tmp_path)["tab_of_the_left_front_pocket"]
     [name] = [entity for entity in block.of("15", "TEXT") if entity.tags[1].startswith("tab")]
     assert float(name.tags[40]) * 0.6 * len(name.tags[1]) < 60.0

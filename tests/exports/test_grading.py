@@ -214,5 +214,3 @@ def test_wrong_usage_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
     design = design_file(tmp_path, {**TROUSERS, "waistband": {"waist": 1.0}})
     assert run("grade", design, "--chart", "woman", "--out", tmp_path / "out") == 2
     assert capsys.readouterr().err.startswith("gcd grade: no chart woman: there are women, men")
-    assert run("grade", design, "--chart", "women", "--out", tmp_path / "out", "--paper", "a9") == 2
-    assert "no paper a9" in capsys.readouterr().err

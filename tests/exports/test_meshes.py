@@ -2,7 +2,6 @@
 
 import json
 import struct
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -15,7 +14,7 @@ from PIL import Image
 from pxr import Usd, UsdGeom, UsdShade
 
 from gcd_dataset import exports
-from gcd_dataset.errors import ConfigError, ExtraMissing, ShardError
+from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.exports.meshes import seam_vertices, smooth_normals, texture_coordinates
 from gcd_dataset.generator.body import build_body, named_shape
 from gcd_dataset.generator.fitting import Fitting
@@ -288,12 +287,6 @@ def test_a_sample_without_a_drape_is_refused(form: str, worn: Sample, tmp_path: 
 def test_a_garment_of_unknown_body_is_exported_alone(worn: Sample, tmp_path: Path) -> None:
     exports.glb(replace(worn, shape=None), tmp_path / "a.glb")
     assert read_facts(tmp_path / "a.glb")["body"] is False
-
-
-def test_usd_without_its_library(worn: Sample, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pxr.Usd", None)
-    with pytest.raises(ExtraMissing, match=r"pxr is not installed: run pip install 'gcd-dataset\[export\]'"):
-        exports.usd(worn, tmp_path / "a.usd")
 
 
 @pytest.fixture(scope="module")

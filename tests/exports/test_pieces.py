@@ -16,11 +16,11 @@ from tests.exports.patterns import (
     RADIUS,
     SIDE,
     darted,
-    panel_of,
     quarter_circle,
     square,
     squares,
 )
+from tests.generator.mesh.shapes import panel
 
 
 def test_a_square_with_allowance_is_a_larger_square() -> None:
@@ -47,7 +47,7 @@ def test_without_allowance_both_lines_are_one() -> None:
 
 def test_a_sharp_corner_is_bevelled() -> None:
     """The mitre of a corner of 11° would reach 10 cm; it ends at two and a half allowances."""
-    (piece,) = cut_pieces(Pattern("thorn", (panel_of("thorn", [(0, 0), (50, 0), (50, 10)]),), ()))
+    (piece,) = cut_pieces(Pattern("thorn", (panel("thorn", [(0, 0), (50, 0), (50, 10)]),), ()))
     reach = np.linalg.norm(piece.cut - [0.0, 0.0], axis=1)
     near = reach[piece.cut[:, 0] < 0]
     assert 1.0 < near.max() < 3.0
@@ -85,7 +85,7 @@ def test_a_dart_has_notches_at_its_mouth_and_a_drill_hole_before_its_tip() -> No
 
 def test_a_cone_is_no_dart() -> None:
     """Neighbouring edges sewn together round a corner of the cloth itself: the cloth lies between them."""
-    cone = panel_of("cone", [(0, 0), (20, 0), (25, 25), (0, 20)])
+    cone = panel("cone", [(0, 0), (20, 0), (25, 25), (0, 20)])
     (piece,) = cut_pieces(Pattern("cone", (cone,), (Seam(EdgeRef("cone", 0), EdgeRef("cone", 3)),)))
     assert not len(piece.drills)
     assert abs(signed_area(piece.cut)) > abs(signed_area(piece.sew))
@@ -94,7 +94,7 @@ def test_a_cone_is_no_dart() -> None:
 def test_a_slit_is_not_left_as_a_crack() -> None:
     """Two allowances fill a slit of 2.4 cm but for a crack of 0.4 cm, which nobody cuts."""
     corners = [(0, 0), (18.8, 0), (20, 15), (21.2, 0), (40, 0), (40, 30), (0, 30)]
-    (piece,) = cut_pieces(Pattern("slit", (panel_of("slit", [(float(x), float(y)) for x, y in corners]),), ()))
+    (piece,) = cut_pieces(Pattern("slit", (panel("slit", corners),), ()))
     assert piece.cut_corner.sum() == 4
     assert abs(signed_area(piece.cut)) == pytest.approx(42.0 * 32.0)
 
@@ -105,7 +105,7 @@ def test_a_crack_is_closed_in_a_turned_panel(degrees: int) -> None:
     angle = np.radians(degrees)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     corners = np.array([(0, 0), (18.8, 0), (20, 15), (21.2, 0), (40, 0), (40, 30), (0, 30)]) @ turn
-    (piece,) = cut_pieces(Pattern("slit", (panel_of("slit", [(float(x), float(y)) for x, y in corners]),), ()))
+    (piece,) = cut_pieces(Pattern("slit", (panel("slit", corners.tolist()),), ()))
     assert abs(signed_area(piece.cut)) == pytest.approx(42.0 * 32.0)
 
 
@@ -137,8 +137,8 @@ def test_a_wrong_side_seam_has_its_notches_at_the_same_ends() -> None:
 
 def test_seams_that_meet_along_an_edge_have_a_notch_there() -> None:
     corners = [(0, 0), (40, 0), (40, 5), (40, 10), (0, 10)]
-    band = panel_of("band", [(float(x), float(y)) for x, y in corners])
-    other = panel_of("other", [(0.0, 0.0), (5.0, 0.0), (5.0, 5.0), (0.0, 5.0)])
+    band = panel("band", corners)
+    other = panel("other", [(0.0, 0.0), (5.0, 0.0), (5.0, 5.0), (0.0, 5.0)])
     seam = Seam(EdgeRef("band", 1), EdgeRef("other", 3))
     piece, _ = cut_pieces(Pattern("band", (band, other), (seam,)), seam_allowance=1.0)
     assert [notch.point.tolist() for notch in piece.notches] == [pytest.approx([41.0, 5.0])]
@@ -146,8 +146,8 @@ def test_seams_that_meet_along_an_edge_have_a_notch_there() -> None:
 
 def test_a_panel_drawn_with_its_wrong_side_up_is_mirrored() -> None:
     corners = [(0.0, 0.0), (40.0, 0.0), (10.0, 20.0)]
-    turned = panel_of("turned", [(-x, y) for x, y in corners])
-    plain, mirrored = (cut_pieces(Pattern("p", (panel,), ()))[0] for panel in (panel_of("plain", corners), turned))
+    turned = panel("turned", [(-x, y) for x, y in corners])
+    plain, mirrored = (cut_pieces(Pattern("p", (one,), ()))[0] for one in (panel("plain", corners), turned))
     assert mirrored.sew == pytest.approx(plain.sew)
     assert shapely.LinearRing(mirrored.sew).is_ccw
     assert mirrored.grain == pytest.approx(plain.grain)
@@ -160,6 +160,6 @@ def test_impossible_allowances_are_refused(allowance: float) -> None:
 
 
 def test_a_pattern_that_cannot_be_sewn_is_refused() -> None:
-    crossed = panel_of("bow", [(0.0, 0.0), (40.0, 40.0), (40.0, 0.0), (0.0, 40.0)])
+    crossed = panel("bow", [(0.0, 0.0), (40.0, 40.0), (40.0, 0.0), (0.0, 40.0)])
     with pytest.raises(PatternError, match="crosses itself"):
         cut_pieces(Pattern("bow", (crossed,), ()))

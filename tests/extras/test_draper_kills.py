@@ -164,15 +164,6 @@ def test_a_killed_worker_does_not_hold_up_others(address: DraperAddress) -> None
         assert draper.receive().number == 1
 
 
-def test_a_worker_that_does_not_read_does_not_hold_up_others(address: DraperAddress) -> None:
-    with SharedDraper(address) as deaf, SharedDraper(address) as draper:
-        large = drape_request(0, 3.0)
-        for _ in range(3):
-            deaf.send(large)
-        draper.send(drape_request(1))
-        assert draper.receive().number == 1
-
-
 def test_the_draper_ends_with_the_process_that_owns_it() -> None:
     code = (
         "import os, signal\n"

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -22,11 +22,6 @@ from gcd_dataset.viewer.content import Content, content_of
 from gcd_dataset.viewer.page import page_of
 from tests.shards.folders import fake_outfit
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make test-extras")
-CHROMIUM = shutil.which("chromium")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on the PATH")
-
-SOFTWARE_GL = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 READY = "body[data-ready]"
 DRAWN = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 """Resolves after the picture that the page has scheduled for its next frame."""
@@ -56,14 +51,6 @@ def content() -> Content:
     content, gap = content_of(sample, body), np.linspace(0.0, 20.0, len(sample.box_mesh.vertices))
     values = {**content.values, "gap": gap}
     return replace(content, values=values, crossed=np.arange(12), tags=("skirt",), caption="A skirt.")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE_GL)
-        yield browser
-        browser.close()
 
 
 class Opened:
@@ -117,11 +104,23 @@ class Opened:
 
 
 @pytest.fixture
-def opened(browser: Any, content: Content, tmp_path: Path) -> Iterator[Opened]:
-    opened = Opened(browser, content, tmp_path).ready()
-    yield opened
-    opened.page.context.close()
-    assert opened.faults == []
+def opening(browser: Any, tmp_path: Path) -> Iterator[Callable[..., Opened]]:
+    """Opens contents in the browser, which must report no fault of any of them."""
+    pages: list[Opened] = []
+
+    def opening(content: Content, view: str = "", **options: Any) -> Opened:
+        pages.append(Opened(browser, content, tmp_path, view, **options))
+        return pages[-1]
+
+    yield opening
+    for opened in pages:
+        opened.page.context.close()
+        assert opened.faults == []
+
+
+@pytest.fixture
+def opened(opening: Callable[..., Opened], content: Content) -> Opened:
+    return opening(content).ready()
 
 
 def test_hovering_a_panel_of_the_drawing_lights_it_in_both_views(opened: Opened) -> None:
@@ -201,12 +200,12 @@ def test_panels_keep_their_shape_on_the_way_to_the_body(opened: Opened, content:
     assert np.abs(sides / expected - 1.0)[inside].max() < 0.01
 
 
-def test_normals_of_coarse_cloth_are_smooth(browser: Any, content: Content, tmp_path: Path) -> None:
+def test_normals_of_coarse_cloth_are_smooth(opening: Callable[..., Opened], content: Content) -> None:
     """They turn less along an edge than the normals of the faces: else triangles show as saw teeth."""
     mesh, draped = content.mesh, content.draped
     assert mesh is not None and draped is not None
     rough = draped + np.random.default_rng(0).normal(0.0, 0.5, draped.shape)
-    opened = Opened(browser, replace(content, draped=rough), tmp_path).ready()
+    opened = opening(replace(content, draped=rough)).ready()
     of_corner = np.array(opened.page.evaluate("[...gcdPage.picture.garment.normals]")).reshape(-1, 3)
     shown = np.zeros_like(rough)
     shown[mesh.uv_vertex] = of_corner
@@ -293,8 +292,8 @@ def test_keys_reach_every_part(opened: Opened) -> None:
     assert (opened.lit, opened.lit_edges) == ("seam:1", 2)
 
 
-def test_two_fingers_zoom_and_one_turns(browser: Any, content: Content, tmp_path: Path) -> None:
-    opened = Opened(browser, content, tmp_path, has_touch=True).ready()
+def test_two_fingers_zoom_and_one_turns(opening: Callable[..., Opened], content: Content) -> None:
+    opened = opening(content, has_touch=True).ready()
     touch = opened.page.context.new_cdp_session(opened.page)
     x, y = opened.middle()
 
@@ -310,57 +309,47 @@ def test_two_fingers_zoom_and_one_turns(browser: Any, content: Content, tmp_path
     send("touchMove", (x - 90, y), (x + 90, y))
     send("touchEnd")
     assert opened.page.evaluate("gcdPage.state.zoom") < 0.7
-    assert opened.faults == []
-    opened.page.context.close()
 
 
-def test_the_scheme_follows_the_system_and_the_button(browser: Any, content: Content, tmp_path: Path) -> None:
-    opened = Opened(browser, content, tmp_path, color_scheme="dark").ready()
+def test_the_scheme_follows_the_system_and_the_button(opening: Callable[..., Opened], content: Content) -> None:
+    opened = opening(content, color_scheme="dark").ready()
     background = "getComputedStyle(document.body).backgroundColor"
     assert opened.page.evaluate(background) == "rgb(21, 23, 26)"
     opened.page.get_by_role("button", name="Dark").click()
     assert opened.page.evaluate(background) == "rgb(246, 245, 242)"
-    assert opened.faults == []
-    opened.page.context.close()
 
 
-def test_a_hostile_name_is_shown_as_text(browser: Any, content: Content, tmp_path: Path) -> None:
+def test_a_hostile_name_is_shown_as_text(opening: Callable[..., Opened], content: Content) -> None:
     name = "</script><b onmouseover=\"alert(1)\">x</b><img src=x onerror='alert(2)'>"
     front: Panel = replace(content.pattern.panels[0], name=name)
     pattern = Pattern(name, (front, *content.pattern.panels[1:]), ())
     assert content.mesh is not None
     mesh = replace(content.mesh, panel_names=(name, "back"))
     hostile = replace(content, title=name, caption=name, tags=(name,), pattern=pattern, mesh=mesh)
-    opened = Opened(browser, hostile, tmp_path).ready()
+    opened = opening(hostile).ready()
     assert opened.page.locator("h1").inner_text() == name
     opened.page.mouse.move(*opened.middle())
     assert opened.page.locator("#readout").inner_text().startswith(name)
     assert opened.page.locator("b, img").count() == 0
-    assert opened.faults == []
-    opened.page.context.close()
 
 
-def test_a_garment_without_a_drape_ends_at_the_placed_panels(browser: Any, content: Content, tmp_path: Path) -> None:
+def test_a_garment_without_a_drape_ends_at_the_placed_panels(opening: Callable[..., Opened], content: Content) -> None:
     placed = replace(content, draped=None, values={}, crossed=None, outcome=None, body=None)
-    opened = Opened(browser, placed, tmp_path).ready()
+    opened = opening(placed).ready()
     assert opened.page.locator("#stage").get_attribute("max") == "1"
     assert content.mesh is not None
     assert np.abs(opened.positions - content.mesh.vertices[content.mesh.uv_vertex]).max() < 0.01
-    assert opened.faults == []
-    opened.page.context.close()
 
 
-def test_a_pattern_alone_is_lit(browser: Any, content: Content, tmp_path: Path) -> None:
-    opened = Opened(browser, Content("skirt", content.pattern), tmp_path)
+def test_a_pattern_alone_is_lit(opening: Callable[..., Opened], content: Content) -> None:
+    opened = opening(Content("skirt", content.pattern))
     opened.page.locator("[data-panel=back] .cloth").hover()
     assert opened.lit_panels == ["back"]
-    assert opened.faults == []
-    opened.page.context.close()
 
 
 def test_a_browser_without_webgl_says_so_and_shows_the_rest(browser: Any, content: Content, tmp_path: Path) -> None:
     flags = ["--no-sandbox", "--disable-3d-apis"]
-    limited = browser.browser_type.launch(executable_path=CHROMIUM, args=flags)
+    limited = browser.browser_type.launch(executable_path=shutil.which("chromium"), args=flags)
     opened = Opened(limited, content, tmp_path)
     opened.page.wait_for_selector("#no-view:visible")
     assert "WebGL 2" in opened.page.locator("#no-view").inner_text()
@@ -384,26 +373,22 @@ def test_a_browser_without_webgl_says_so_and_shows_the_rest(browser: Any, conten
     ],
 )
 def test_the_address_asks_for_a_view(
-    asked: Any, expected: dict[str, Any], browser: Any, content: Content, tmp_path: Path
+    asked: Any, expected: dict[str, Any], opening: Callable[..., Opened], content: Content
 ) -> None:
-    opened = Opened(browser, content, tmp_path, view=json.dumps(asked)).ready()
+    opened = opening(content, view=json.dumps(asked)).ready()
     state = opened.page.evaluate("structuredClone(gcdPage.state)")
     assert {name: state[name] for name in expected} == expected
     assert len(state["pan"]) == 3 and all(isinstance(part, int | float) for part in state["pan"])
-    assert opened.faults == []
-    opened.page.context.close()
 
 
-def test_a_phone_shows_all_without_sideways_scrolling(browser: Any, content: Content, tmp_path: Path) -> None:
-    opened = Opened(browser, content, tmp_path, viewport={"width": 390, "height": 800}, has_touch=True).ready()
+def test_a_phone_shows_all_without_sideways_scrolling(opening: Callable[..., Opened], content: Content) -> None:
+    opened = opening(content, viewport={"width": 390, "height": 800}, has_touch=True).ready()
     assert opened.page.evaluate("document.documentElement.scrollWidth") <= 390
-    assert opened.faults == []
-    opened.page.context.close()
 
 
-def test_the_layers_of_an_outfit_come_off_from_the_outside(browser: Any, tmp_path: Path) -> None:
+def test_the_layers_of_an_outfit_come_off_from_the_outside(opening: Callable[..., Opened]) -> None:
     """What lies under a grid of points: panels of the garments that are left, and fewer cloth pixels at each step."""
-    opened = Opened(browser, content_of(replace(fake_outfit(1, 3), shape=None)), tmp_path).ready()
+    opened = opening(content_of(replace(fake_outfit(1, 3), shape=None))).ready()
     width, height = (opened.page.evaluate(f"gcdPage.picture.canvas.client{side}") for side in ("Width", "Height"))
     points = [[x, y] for x in range(4, width, 24) for y in range(4, height, 16)]
     found, views = [], []
@@ -418,11 +403,9 @@ def test_the_layers_of_an_outfit_come_off_from_the_outside(browser: Any, tmp_pat
     blank = views[0][5, 5]
     cloth = [(np.abs(view - blank).max(axis=2) > 40).sum() for view in views]
     assert cloth[0] > cloth[1] > cloth[2]
-    opened.page.context.close()
-    assert opened.faults == []
 
 
-def test_the_frames_of_a_motion_play(browser: Any, tmp_path: Path) -> None:
+def test_the_frames_of_a_motion_play(opening: Callable[..., Opened]) -> None:
     """The slider moves cloth and body to its frame; the button plays on from there, over and over."""
     sample = fake_sample(3, 1, fineness=3)
     assert sample.box_mesh and sample.drape
@@ -431,7 +414,7 @@ def test_the_frames_of_a_motion_play(browser: Any, tmp_path: Path) -> None:
     motion = GarmentMotion(vertices, sample.box_mesh.faces, tuple(walk()[:4]), 30.0, np.zeros((4, 3), int))
     body, _, _ = named_body("neutral")
     shown = content_of(replace(sample, motion=motion), body)
-    opened = Opened(browser, replace(shown, body_motion=body.vertices + rise), tmp_path).ready()
+    opened = opening(replace(shown, body_motion=body.vertices + rise)).ready()
     heights = "() => [gcdPage.picture.garment.positions, gcdPage.picture.body.vertices].map((all) => Math.max(...all))"
     before = opened.page.evaluate(heights)
     opened.page.locator("#motion").fill("3")
@@ -440,5 +423,3 @@ def test_the_frames_of_a_motion_play(browser: Any, tmp_path: Path) -> None:
     opened.page.wait_for_selector("body[data-frame='1']")
     opened.page.locator("#play").click()
     assert opened.page.locator("#play").get_attribute("aria-pressed") == "false"
-    opened.page.context.close()
-    assert opened.faults == []

@@ -2,7 +2,6 @@
 
 import argparse
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -23,47 +22,26 @@ from gcd_dataset.records import Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.spec import write_pattern
 from gcd_dataset.viewer.garments import ShardAlbum, spec_album
-from gcd_dataset.viewer.server import Gallery, serve
+from gcd_dataset.viewer.server import Gallery
 from tests.release.published import publish
+from tests.viewer.test_server import Running
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make test-extras")
-CHROMIUM = shutil.which("chromium")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on the PATH")
 VIEW = ("yaw", "pitch", "zoom", "pan", "stage", "colours", "body")
-SOFTWARE_GL = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE_GL)
-        yield browser
-        browser.close()
 
 
 @contextmanager
 def opened(browser: Any, site: Gallery) -> Iterator[Any]:
     """The site's first page; fails for errors that the browser reports."""
-    found: list[Any] = []
-    ready = threading.Event()
-
-    def started(server: ThreadingHTTPServer) -> None:
-        found.append(server)
-        ready.set()
-
-    options = {"show": found.append, "started": started}
-    thread = threading.Thread(target=serve, args=(site,), kwargs=options, daemon=True)
-    thread.start()
-    assert ready.wait(30)
+    running = Running(site)
     page = browser.new_page(viewport={"width": 1280, "height": 800})
     faults: list[str] = []
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.on("dialog", lambda dialog: faults.append(dialog.message))
-    page.goto(found[0])
+    page.goto(running.address)
     yield page
     page.close()
-    found[1].shutdown()
-    thread.join(30)
+    running.close()
     assert not faults
 
 

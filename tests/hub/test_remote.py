@@ -1,6 +1,5 @@
 """Data sets on servers: revisions, requests, damage, eviction; downloads: whole, without pictures, interrupted."""
 
-import json
 import multiprocessing
 import pickle
 import shutil
@@ -212,16 +211,6 @@ def test_hostile_manifests_are_one_sentence(hub: Hub, commit: str, tmp_path: Pat
         store.part("train", store.manifest().splits["train"].shards[0], 0, 1 << 39)
     with pytest.raises(ShardError, match="not the index of these shards"):
         opened(hub, tmp_path, hostile(hub, first(size=2048))).index("train")
-    evil = json.loads(hub.static["garments/manifest.json"])
-    for name in ("../escaped", "a/b", ""):
-        hub.static["evil/manifest.json"] = json.dumps({**evil, "splits": {name: evil["splits"]["train"]}}).encode()
-        with pytest.raises(ShardError, match=r"manifest\.json: not a manifest"):
-            opened(hub, tmp_path, Url(f"{hub.endpoint}/files/evil"))
-    for body in (b"<html>", b"[" * 100_000, b'{"schema": 2, "generator": "0.9"}'):
-        hub.static["evil/manifest.json"] = body
-        with pytest.raises(ShardError, match=r"manifest\.json: (not a manifest|a data set of schema 2)"):
-            opened(hub, tmp_path, Url(f"{hub.endpoint}/files/evil"))
-    assert not list(tmp_path.rglob("*escaped*"))
 
 
 def test_the_shard_used_longest_ago_is_evicted_with_its_columns(
@@ -351,23 +340,6 @@ def test_root_downloads_first(hub: Hub, commit: str, folder: Path, tmp_path: Pat
             opened(source, allowed=False, revision=revision)
 
 
-def test_a_stopped_download_continues(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
-    hub.faults = [
-        Fault(r"storage/[^/]+/train-00001", cut=20_000),
-        Fault(r"storage/[^/]+/train-0000[12]", drop=True, times=10**6),
-    ]
-    with pytest.raises(RemoteError, match="received data are kept"):
-        bring(hub, tmp_path)
-    with pytest.raises(ShardError, match=r"the download of hf://.* is incomplete: run gcd download again"):
-        open_store(tmp_path / "data").manifest()
-    hub.faults.clear()
-    hub.log.clear()
-    assert without_record(bring(hub, tmp_path)) == read_folder(folder)
-    assert not hub.asked(r"storage/[^/]+/train-00000")
-    (rest,) = hub.asked(r"storage/[^/]+/train-00001")
-    assert rest.span.startswith("bytes=20000-")
-
-
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
 def test_a_killed_download_continues(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     hub.faults = [Fault(r"storage/[^/]+/train-00002", cut=10_000, hold=True, times=99)]
@@ -380,6 +352,8 @@ def test_a_killed_download_continues(hub: Hub, commit: str, folder: Path, tmp_pa
         time.sleep(0.01)
     child.kill()
     child.join()
+    with pytest.raises(ShardError, match=r"the download of hf://.* is incomplete: run gcd download again"):
+        open_store(data).manifest()
     hub.faults.clear()
     hub.log.clear()
     assert without_record(bring(hub, tmp_path)) == read_folder(folder)

@@ -31,7 +31,6 @@ from gcd_dataset.tensors import EdgeColumn, LineColumn
 from tests.shards.folders import fake_outfit, fill_outfits
 
 COUNTS = (1, 2, 3, 2)
-GEOMETRY = ("verts", "faces", "uv", "corners", "panels", "panel_id", "edges", "stitches", "lines", "seams")
 
 
 @pytest.fixture(scope="module")

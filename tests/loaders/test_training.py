@@ -2,7 +2,6 @@
 
 import pickle
 import random
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -178,24 +177,6 @@ def test_users_data_sets_do_not_change_the_models_random_draws() -> None:
     assert torch.equal(torch.get_rng_state(), before)
 
 
-@pytest.mark.parametrize(("world_size", "workers"), [(2, 1), (3, 0)])
-def test_ranks_share_an_epoch(folder: Path, ranks: Callable, world_size: int, workers: int) -> None:
-    """With 11 garments and batches of 2, the epoch ends differently for each world size."""
-    ds = GarmentDataset(folder, fields=["meta"]).select(range(11))
-    whole = 11 // world_size * world_size
-    for drop_last, count in ((False, whole), (True, 11 // world_size // 2 * 2 * world_size)):
-        seen = Counter[int]()
-        for rank in range(world_size):
-            ranks(rank, world_size)
-            loader = GarmentLoader(ds, 2, drop_last=drop_last, num_workers=workers)
-            own = every(loader)
-            assert len(own) * world_size == count
-            assert len(loader) == -(-len(own) // 2)
-            seen.update(own)
-        assert set(seen.values()) == {1}
-        assert seen.total() == count
-
-
 def test_the_rank_is_looked_up_at_each_pass(folder: Path, ranks: Callable) -> None:
     """A loader may be built before ``torchrun``'s environment or a framework sets the rank."""
     ds = GarmentDataset(folder, fields=["meta"])
@@ -279,18 +260,11 @@ def test_the_state_of_another_data_set_is_refused(folder: Path, tmp_path: Path) 
     "entry",
     [
         {"seed": np.zeros(3)},
-        {"seed": torch.zeros(2, 2)},
-        {"shuffle": np.zeros(3)},
         {"length": float("nan")},
-        {"length": None},
         {"dataset": np.zeros((40, 40))},
-        {"dataset": {}},
         {"position": 2**70},
-        {"position": float("nan")},
-        {"position": np.zeros((40, 40))},
         {"position": -1},
         {"position": "8"},
-        {"position": [1, 2]},
     ],
 )
 def test_the_error_for_an_invalid_state_is_one_line(folder: Path, entry: dict[str, Any]) -> None:

@@ -1,6 +1,5 @@
 """Damaged or foreign files of published garments are reported by name."""
 
-import io
 import re
 import shutil
 import struct
@@ -9,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from PIL import Image
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import PublishedGarmentCodeData
@@ -38,10 +36,6 @@ def without_elements(content: bytes) -> bytes:
     return content.replace(b"element vertex ", b"element ", 1)
 
 
-def of_thousands_of_digits(content: bytes) -> bytes:
-    return re.sub(rb"element vertex \d+", b"element vertex " + b"9" * 5000, content, count=1)
-
-
 def with_number(number: float) -> Callable[[bytes], bytes]:
     def change(content: bytes) -> bytes:
         start = content.index(b"end_header\n") + len(b"end_header\n")
@@ -57,12 +51,6 @@ def with_broken_chunk(content: bytes) -> bytes:
 def of_many_pixels(content: bytes) -> bytes:
     header = b"IHDR" + struct.pack(">IIBBBBB", 60_000, 60_000, 8, 6, 0, 0, 0)
     return content[:8] + struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header)) + content[33:]
-
-
-def as_gif(content: bytes) -> bytes:
-    file = io.BytesIO()
-    Image.new("RGB", (4, 4)).save(file, "GIF")
-    return file.getvalue()
 
 
 def doubling(name: str, times: int) -> bytes:

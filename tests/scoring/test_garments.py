@@ -66,12 +66,6 @@ def test_answers_are_matched_by_the_garments_name(tmp_path: Path) -> None:
     assert "cape" in unknown
 
 
-def test_files_in_a_folder_for_each_garment(tmp_path: Path) -> None:
-    """The layout of the published data, and of predictions named after their folder."""
-    folder = write(tmp_path / "truth", "a/dress/dress_specification.json", "a/skirt/specification.json")
-    assert sorted(true_files(folder)) == ["dress", "skirt"]
-
-
 def test_folders_that_cannot_be_matched(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match="no answer is named as a garment"):
         list(remarks_of(["shirt"], ["dress"]))

@@ -6,22 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from gcd_dataset.curves import LINE
 from gcd_dataset.metrics import score_pattern
-from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import EdgeRef, Pattern, Seam
 from gcd_dataset.scoring.inputs import TASKS
 from gcd_dataset.scoring.joining import joined
 from gcd_dataset.spec import read_pattern, spec_from_pattern
+from tests.generator.mesh.shapes import panel
 
-
-def panel(name: str, corners: list[tuple[float, float]], at: tuple[float, float, float]) -> Panel:
-    edges = tuple(Edge(k, (k + 1) % len(corners), LINE) for k in range(len(corners)))
-    return Panel(name, np.array(corners, float), edges, Placement(np.array(at, float), np.zeros(3)))
-
-
-SLEEVE = panel("sleeve", [(0, 0), (30, 0), (30, 40), (18, 40), (0, 40)], (0, 0, 0))
-FRONT = panel("front", [(0, 0), (12, 0), (12, 50), (0, 50)], (18, 41, 0))
-BACK = panel("back", [(0, 0), (18, 0), (18, 50), (0, 50)], (0, 41, 0))
+SLEEVE = panel("sleeve", [(0, 0), (30, 0), (30, 40), (18, 40), (0, 40)], at=(0, 0, 0))
+FRONT = panel("front", [(0, 0), (12, 0), (12, 50), (0, 50)], at=(18, 41, 0))
+BACK = panel("back", [(0, 0), (18, 0), (18, 50), (0, 50)], at=(0, 41, 0))
 CAP = (Seam(EdgeRef("sleeve", 2), EdgeRef("front", 0)), Seam(EdgeRef("sleeve", 3), EdgeRef("back", 0)))
 TRUE = Pattern("shirt", (SLEEVE, FRONT, BACK), CAP)
 

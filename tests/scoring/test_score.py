@@ -11,8 +11,9 @@ import pytest
 from gcd_dataset.cli import main
 from gcd_dataset.faults import MOST_EDGES, MOST_PANELS
 from gcd_dataset.metrics import PatternScore
-from gcd_dataset.records import Edge, InnerLine, Pattern
+from gcd_dataset.records import InnerLine, Pattern
 from gcd_dataset.spec import spec_from_pattern, write_pattern
+from tests.generator.mesh.shapes import panel
 from tests.test_metrics import SAME, garment
 
 POINTS = np.random.default_rng(0).uniform(size=(100, 3))
@@ -102,14 +103,8 @@ def test_a_prediction_beyond_the_limits_of_size_is_a_failure(
     tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """To match 20,000 edges takes gigabytes."""
-    whole, angles = garment(), np.linspace(0, 2 * np.pi, MOST_EDGES + 1, endpoint=False)
-    corners = 30 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    disc = replace(
-        whole.panels[0],
-        name="disc",
-        vertices=corners,
-        edges=tuple(Edge(k, (k + 1) % len(corners)) for k in range(len(corners))),
-    )
+    angles, whole = np.linspace(0, 2 * np.pi, MOST_EDGES + 1, endpoint=False), garment()
+    disc = panel("disc", [(30 * np.cos(angle), 30 * np.sin(angle)) for angle in angles])
     many = tuple(replace(whole.panels[0], name=f"panel {k}") for k in range(MOST_PANELS + 1))
     ours = {"a": replace(whole, panels=(*whole.panels, disc)), "b": Pattern("", many, ()), "c": whole, "d": whole}
     assert run(save(tmp_path / "ours", ours), truth) == 0

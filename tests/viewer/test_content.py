@@ -7,8 +7,9 @@ import pytest
 import trimesh
 
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Body, BoxMesh, Drape, Edge, Outcome, Panel, Pattern, Placement, Sample
+from gcd_dataset.records import Body, BoxMesh, Drape, Outcome, Pattern, Sample
 from gcd_dataset.viewer.content import content_of, crossing_vertices
+from tests.generator.mesh.shapes import panel
 from tests.helpers import body_from, joined, patch
 from tests.shards.folders import fake_outfit
 
@@ -125,8 +126,6 @@ def test_a_pattern_is_placed_round_the_neutral_body(sample: Sample) -> None:
 
 
 def test_a_pattern_that_cannot_be_meshed_has_no_mesh() -> None:
-    corners = np.array([[0.0, 0.0], [40.0, 40.0], [40.0, 0.0], [0.0, 40.0]])  # crosses itself
-    edges = tuple(Edge(i, (i + 1) % 4) for i in range(4))
-    panel = Panel("bow", corners, edges, Placement(np.array([0.0, 100.0, 20.0]), np.zeros(3)), "body")
-    content = content_of(Pattern("tie", (panel,), ()))
+    bow = panel("bow", [(0, 0), (40, 40), (40, 0), (0, 40)], at=(0, 100, 20))  # crosses itself
+    content = content_of(Pattern("tie", (bow,), ()))
     assert content.mesh is None and content.pattern.panels[0].name == "bow"

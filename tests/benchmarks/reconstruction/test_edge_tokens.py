@@ -9,12 +9,6 @@ import torch
 
 from benchmarks.reconstruction.edge_decoder import decode
 from benchmarks.reconstruction.edge_sequence import (
-    CLOSING_CURVE,
-    CLOSING_LINE,
-    CURVE,
-    END,
-    LINE,
-    START,
     canonical,
     sequence_of,
     tokens_of,
@@ -70,51 +64,6 @@ def test_the_garment_remains_the_same_in_canonical_order(targets: PanelTargets, 
         score = score_pattern(pattern, six.pattern(k))
         assert (score.combinatorial, score.garment_perfect) == (1, 1)
         assert score.iou > 0.99
-
-
-def triangle_and_square() -> PanelTargets:
-    """A triangle with a curved last edge and a square with a curved first, in 3 rows for panels and 9 for edges."""
-    corners = torch.zeros(1, 3, 5, 2)
-    corners[0, 0, :3] = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    corners[0, 1, :4] = torch.tensor([[2.0, 2.0], [3.0, 2.0], [3.0, 3.0], [2.0, 3.0]])
-    kinds = torch.zeros(1, 9, dtype=torch.long)
-    kinds[0, [2, 3]] = 1
-    return PanelTargets(
-        points=torch.zeros(1, 0, 6),
-        exists=torch.tensor([[True, True, False]]),
-        corners=corners,
-        bends=torch.zeros(1, 3, 5, 5, 2),
-        extents=torch.ones(1, 3, 2),
-        centres=torch.tensor([[[0.0, 0, 0], [0, 1, 0], [0, 0, 0]]]),
-        rotations=torch.eye(3).expand(1, 3, 3, 3),
-        edge_counts=torch.tensor([[3, 4, 0]]),
-        labels=torch.tensor([[2, 1, 0]]),
-        slimness=torch.ones(1, 3),
-        edge_panels=torch.tensor([[0, 0, 0, 1, 1, 1, 1, -1, -1]]),
-        edge_slots=torch.tensor([[0, 1, 2, 0, 1, 2, 3, 0, 0]]),
-        edge_kinds=kinds,
-        edge_labels=torch.zeros(1, 9, dtype=torch.long),
-        partners=torch.tensor([[4, -1, -1, -1, 0, -1, -1, -1, -1]]),
-        turned=torch.zeros(1, 9, dtype=torch.bool),
-    )
-
-
-def test_a_sequence_has_a_token_for_each_panel_and_edge() -> None:
-    sequence = sequence_of(triangle_and_square())
-    expected = [START, 2, LINE, LINE, CLOSING_CURVE, 1, CURVE, LINE, LINE, CLOSING_LINE, *[END] * 4]
-    assert sequence.kinds.tolist() == [expected]
-    assert sequence.slots.tolist() == [[0, 0, 1, 2, 3, 0, 1, 2, 3, 4, 0, 0, 0, 0]]
-    assert sequence.panels.tolist() == [[0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 0, 0, 0, 0]]
-    assert sequence.known.tolist() == [[True] * 11 + [False] * 3]
-    assert sequence.at_panels[0, :2].tolist() == [1, 5]
-    assert sequence.at_edges[0, :7].tolist() == [2, 3, 4, 6, 7, 8, 9]
-
-
-def test_the_canonical_order_of_a_hand_made_garment() -> None:
-    found = canonical(triangle_and_square())  # label 1 comes before label 2
-    assert found.edge_counts.tolist() == [[4, 3, 0]]
-    assert found.edge_kinds[0, :7].tolist() == [1, 0, 0, 0, 0, 0, 1]
-    assert found.partners[0, :7].tolist() == [-1, 4, -1, -1, 1, -1, -1]
 
 
 # ------------------------------------------------------------------------------------------------------- the network
@@ -174,9 +123,3 @@ def test_every_answer_is_closed_and_within_the_sizes(sizes: dict[str, int]) -> N
     assert not (answer.partners == rows).any()
     for pattern in patterns_from(answer):
         assert not [fault for fault in check_pattern(pattern) if fault.severity is Severity.ERROR]
-
-
-# ---------------------------------------------------------------------------------------------------------- the loss
-
-
-# -------------------------------------------------------------------------------------------------------- the options

@@ -9,7 +9,6 @@ import torch
 
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.panel_set import SMALL, PanelSet, build, match_panels, panel_losses
-from benchmarks.reconstruction.panel_answers import _partners, edges_of
 from benchmarks.reconstruction.panel_net import Predicted
 from benchmarks.reconstruction.panel_targets import PanelTargets, ToTargets, patterns_from, simple_panel
 from benchmarks.reconstruction.point_net import regions_of
@@ -17,8 +16,9 @@ from gcd_dataset.curves import LINE, Arc, Cubic, Curve, curve_points, fitted_cur
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.faults import Rule, Severity, check_pattern
 from gcd_dataset.metrics import mean_scores, score_pattern
-from gcd_dataset.records import Edge, Panel, Pattern, Placement
+from gcd_dataset.records import Panel, Pattern
 from tests.benchmarks.reconstruction.conftest import shuffled, started_elsewhere
+from tests.generator.mesh.shapes import panel, rectangle
 
 CPU = torch.device("cpu")
 
@@ -100,21 +100,6 @@ def test_regions_hold_equal_numbers_of_near_points() -> None:
     assert not torch.equal(one_row, points[0, :512, 0])
 
 
-def test_the_likeliest_pairs_are_sewn_first() -> None:
-    logits = torch.tensor([[[-9.0, 5, 4, -9, 0], [5, -9, 3, -9, 0], [4, 3, -9, 0.5, 0], [-9, -9, 0.5, -9, 2]]])
-    exists = torch.tensor([[True, True, True, True]])
-    assert _partners(logits, exists).tolist() == [[1, 0, -1, -1]]
-    assert _partners(logits, exists & torch.tensor([True, False, True, True])).tolist() == [[2, -1, 0, -1]]
-
-
-def test_edges_follow_each_other_in_the_loops_of_existing_panels() -> None:
-    edges = edges_of(torch.tensor([[True, False, True, True]]), torch.tensor([[3, 9, 4, 5]]), room=8)
-    assert edges.queries.tolist() == [[0, 0, 0, 2, 2, 2, 2, 0]]
-    assert edges.slots.tolist() == [[0, 1, 2, 0, 1, 2, 3, 0]]
-    assert edges.following.tolist() == [[1, 2, 0, 1, 2, 3, 0, 0]]
-    assert edges.exists.tolist() == [[True] * 7 + [False]]
-
-
 def test_panels_are_matched_alike_at_every_place(six: GarmentSet) -> None:
     # As a product of matrices, which needs more than 25 rows, distances this far from the origin would be rounded.
     torch.manual_seed(0)
@@ -154,18 +139,12 @@ def test_a_garment_beyond_the_sizes_is_refused(six: GarmentSet) -> None:
         assert not replace(TARGETS, **small)(six.select([0])).exists.any()
 
 
-def panel(corners: list[tuple[float, float]], *curves: Curve) -> Panel:
-    drawn = [*curves, *[LINE] * (len(corners) - len(curves))]
-    edges = tuple(Edge(i, (i + 1) % len(corners), curve) for i, curve in enumerate(drawn))
-    return Panel("front", np.array(corners), edges, Placement(np.zeros(3), np.zeros(3)))
-
-
 @pytest.mark.parametrize(
     "crossing",
     [
-        panel([(0, 0), (40, 40), (40, 0), (0, 40)]),
-        panel([(0, 0), (40, 0), (40, 30), (0, 30)], Cubic((0.5, 2.0), (0.6, 2.0))),
-        panel([(0, 0), (30, 50), (60, 0), (0, 30), (60, 30)]),
+        panel("front", [(0, 0), (40, 40), (40, 0), (0, 40)]),
+        panel("front", rectangle(40, 30), curves={0: Cubic((0.5, 2.0), (0.6, 2.0))}),
+        panel("front", [(0, 0), (30, 50), (60, 0), (0, 30), (60, 30)]),
     ],
 )
 def test_a_repaired_outline_does_not_cross_itself(crossing: Panel) -> None:

@@ -31,7 +31,6 @@ from tests.benchmarks.reconstruction.toys import (
     batch_of,
     net_of,
     nothing_known,
-    panel,
     rectangle,
     rewritten,
     rows_of,
@@ -39,6 +38,7 @@ from tests.benchmarks.reconstruction.toys import (
     t_shirt,
     tube,
 )
+from tests.generator.mesh.shapes import panel
 
 
 def test_another_file_of_the_same_garment_gets_the_same_scores() -> None:
@@ -177,8 +177,8 @@ def test_intervals_of_the_truth_score_one_and_misplaced_ones_do_not() -> None:
 
 
 def test_congruent_panels_are_exchangeable_and_mirror_images_are_not() -> None:
-    slanted = panel("a", [(0, 0), (30, 0), (30, 20), (5, 10)], {}, (0, 0, 0))
-    flipped = panel("b", [(0, 0), (30, 0), (25, 10), (0, 20)], {}, (0, 0, 0))
+    slanted = panel("a", [(0, 0), (30, 0), (30, 20), (5, 10)])
+    flipped = panel("b", [(0, 0), (30, 0), (25, 10), (0, 20)])
     assert set(congruences(graph_of(Pattern("p", (slanted, flipped), ())))) == {(0, 0), (1, 1)}
     square = congruences(graph_of(Pattern("p", (rectangle("a", 9, 9), rectangle("b", 9, 9)), ())))
     assert square == {(i, j): [0, 1, 2, 3] for i in (0, 1) for j in (0, 1)}
@@ -229,7 +229,7 @@ def test_without_answers_nothing_is_right() -> None:
 def test_every_symmetry_of_the_truth_is_right(seed: int) -> None:
     """A ring of six equal gores: any cycle of them is the same skirt."""
     rng = np.random.default_rng(seed)
-    gores = tuple(panel(f"{k}", [(0, 0), (20, 0), (15, 50), (5, 50)], {}, (0, 0, 0)) for k in range(6))
+    gores = tuple(panel(f"{k}", [(0, 0), (20, 0), (15, 50), (5, 50)]) for k in range(6))
     ring = [Seam(EdgeRef(f"{k}", 1), EdgeRef(f"{(k + 1) % 6}", 3)) for k in range(6)]
     graph, order = graph_of(Pattern("skirt", gores, tuple(ring))), rng.permutation(6).tolist()
     cycle = [(4 * order[k] + 1, 4 * order[(k + 1) % 6] + 3) for k in range(6)]

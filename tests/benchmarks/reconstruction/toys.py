@@ -1,6 +1,5 @@
 """A learner that fits a line, for tests of the training loop."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, sin
 from typing import Any
@@ -14,9 +13,9 @@ from benchmarks.reconstruction.learners import Learner, TensorExamples
 from benchmarks.reconstruction.models import load_model
 from benchmarks.reconstruction.stitching.graphs import EdgeBatch, PackedGraphs, edge_refs, graph_of
 from benchmarks.reconstruction.stitching.net import StitchConfig, StitchNet
-from gcd_dataset.curves import LINE, Arc, Curve, Quadratic
-from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
-from gcd_dataset.tensors import encode_pattern
+from gcd_dataset.curves import Arc, Quadratic
+from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
+from tests.generator.mesh import shapes
 
 
 @dataclass(frozen=True)
@@ -66,15 +65,8 @@ HEM, SIDE_R, ARMHOLE_R, SHOULDER_R, NECK, SHOULDER_L, ARMHOLE_L, SIDE_L = range(
 WRIST, UNDERARM_1, CAP_1, CAP_2, UNDERARM_2 = range(5)
 
 
-def panel(
-    name: str, corners: Sequence[tuple[float, float]], curves: dict[int, Curve], place: tuple[float, ...]
-) -> Panel:
-    edges = tuple(Edge(i, (i + 1) % len(corners), curves.get(i, LINE)) for i in range(len(corners)))
-    return Panel(name, np.array(corners, float), edges, Placement(np.array(place, float), np.zeros(3)))
-
-
 def rectangle(name: str, width: float, height: float, x: float = 0.0) -> Panel:
-    return panel(name, [(0, 0), (width, 0), (width, height), (0, height)], {}, (x, 0.0, 0.0))
+    return shapes.panel(name, shapes.rectangle(width, height), at=(x, 0.0, 0.0))
 
 
 def t_shirt() -> Pattern:
@@ -86,10 +78,10 @@ def t_shirt() -> Pattern:
     cap = [(-15.0, -30.0), (15.0, -30.0), (end, 0.0), (0.0, top), (-end, 0.0)]
     arc = Arc(radius, large=False, right=True)
     panels = (
-        panel("front", corners, {NECK: Quadratic((0.5, 0.5))}, (0, 80, 20)),
-        panel("back", corners, {NECK: Quadratic((0.5, 0.1))}, (0, 80, -20)),
-        panel("one", cap, {CAP_1: arc, CAP_2: arc}, (60, 120, 0)),
-        panel("two", cap, {CAP_1: arc, CAP_2: arc}, (-60, 120, 0)),
+        shapes.panel("front", corners, curves={NECK: Quadratic((0.5, 0.5))}, at=(0, 80, 20)),
+        shapes.panel("back", corners, curves={NECK: Quadratic((0.5, 0.1))}, at=(0, 80, -20)),
+        shapes.panel("one", cap, curves={CAP_1: arc, CAP_2: arc}, at=(60, 120, 0)),
+        shapes.panel("two", cap, curves={CAP_1: arc, CAP_2: arc}, at=(-60, 120, 0)),
     )
     pairs = [
         ("front", SIDE_R, "back", SIDE_L), ("front", SIDE_L, "back", SIDE_R),
@@ -140,11 +132,6 @@ def nothing_known(batch: EdgeBatch) -> torch.Tensor:
 
 def seams_of(pattern: Pattern) -> set[frozenset[EdgeRef]]:
     return {frozenset((seam.left, seam.right)) for seam in pattern.seams}
-
-
-def encode(pattern: Pattern) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    tensor = encode_pattern(pattern)
-    return tensor.panels, tensor.edges, tensor.stitches
 
 
 def rows_of(pattern: Pattern) -> list[tuple[int, int]]:

@@ -1,6 +1,6 @@
 """Panels with known meshes, and measures of triangles."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,7 +11,7 @@ from gcd_dataset.records import BoxMesh, Edge, EdgeRef, Panel, Pattern, Placemen
 
 def panel(
     name: str,
-    corners: list[tuple[float, float]],
+    corners: Sequence[tuple[float, float]],
     *,
     curves: Mapping[int, Curve] | None = None,
     labels: Mapping[int, str] | None = None,
