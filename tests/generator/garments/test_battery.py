@@ -332,6 +332,14 @@ def test_a_cape_opens_below_its_clasp(woman: Measurements) -> None:
     assert max(heights) == max(heights[1:])  # the clasp is at the neck
 
 
+@pytest.mark.parametrize("upper", OWN)
+def test_the_neckline_of_capes_and_ponchos_goes_round_the_back_of_the_neck(woman: Measurements, upper: Upper) -> None:
+    pattern = draw_garment(woman, design_from_dict({"meta": {"upper": upper.value}}))
+    necks = {panel.name: length(pattern.panel(panel.name), "neck") for panel in pattern.panels}
+    behind = necks.pop(f"{upper.garment.field}_back")
+    assert 0.8 * woman.neck_w < behind < sum(necks.values()) < 2.5 * woman.neck_w
+
+
 @pytest.mark.parametrize("name", DESIGNS)
 def test_only_the_mends_of_its_garments_change_an_outfit(woman: Measurements, name: str) -> None:
     design = design_from_dict(DESIGNS[name])
