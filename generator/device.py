@@ -67,7 +67,10 @@ def device_names(devices: Iterable[str]) -> dict[str, str]:
 
 @cache
 def _init_warp() -> None:
-    """Initialise Warp, once, without its warning on machines without a GPU driver. Raises ``OutputError``."""
+    """Initialise Warp, once, with stderr redirected: its C library prints a warning on machines without a GPU driver.
+
+    Raises ``OutputError`` if no folder for compiled kernels can be written.
+    """
     sys.stderr.flush()
     stderr, devnull = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:

@@ -159,7 +159,10 @@ class _Cloth:
         return section(columns, np.arange(len(rows)).reshape(-1, 3), 0, 0.0)
 
     def girth(self, plane: Plane) -> float:
-        """Girth of the cloth in a plane [cm], near a seam of its side with less cloth; NaN where none goes round."""
+        """Girth of the cloth in a plane [cm], NaN where no cloth goes round.
+
+        Where a seam or the hem is within ``NEAR``, that of the side with less cloth: gathers are folded.
+        """
         by_panels = dict[frozenset[int], float]()
         for ring in self.rings(plane):
             face, step = ring[:, 0, 5].astype(int), ring[:, 1, 3:5] - ring[:, 0, 3:5]

@@ -251,7 +251,10 @@ class _Wearer:
 
 
 def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
-    """The bodies of a design, in the order of their indices. Raises ``ConfigError`` if none has a size."""
+    """The bodies of a design, in the order of their indices.
+
+    Raises ``ConfigError`` if the neutral body, or each of ``MOST_BODIES``, has no size in ``config.sizes``.
+    """
     shapes = {}
     if config.bodies in ("neutral", "both"):
         shapes["neutral"] = neutral_shape()

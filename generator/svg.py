@@ -105,7 +105,10 @@ def _written(root: Node) -> bytes:
 
 
 def _panel(piece: SheetPanel, height: float, ink: RGB | None = None, *, is_named: bool = True) -> Node:
-    """The group of one panel, with name and seam numbers if ``is_named``; ``ink``: the one colour of a nest."""
+    """The group of one panel: cloth, edges, grain line; name and seam numbers if ``is_named``.
+
+    ``ink``: colour of all lines of a panel in a nest, whose cloth has none; ``None``: colours by panel and seam.
+    """
     x, y = piece.shift[0] + MARGIN, height - MARGIN - piece.shift[1]
     name = shown(piece.panel.name)
     group = ElementTree.Element("g", {"data-panel": name, "transform": _upright(x, y)})

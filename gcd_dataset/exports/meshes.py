@@ -166,9 +166,9 @@ def glb(
 
 
 def animated(glb: bytes, shapes: Mapping[str, Sequence[Float[np.ndarray, "t v 3"]]], fps: float) -> bytes:
-    """A GLB whose meshes move; ``shapes``: positions [m] and normals of each mesh in all frames, by the mesh's name.
+    """The GLB with its meshes in motion. ``shapes``: name of a mesh to its positions [m] and normals in each frame.
 
-    The first frame is the mesh as it is; each other one is a morph target, of full weight at its time.
+    The first frame is the mesh as it is. Each other frame is a morph target, which has full weight at its time.
     """
     _, _, size = struct.unpack_from("<4sII", glb)
     length, _ = struct.unpack_from("<I4s", glb, 12)

@@ -292,7 +292,10 @@ def _model_poses(turns: Mapping[str, Rotation], seconds: float, fps: float, mode
 
 
 def _bend_as_ours(whole: dict[str, Rotation]) -> None:
-    """Let captured arms bend as ours do: they roll so that elbows bend forward; hands keep to the forearm."""
+    """Let captured arms bend as ours do.
+
+    They roll so that elbows bend forward, since the hinges of other skeletons differ; hands keep to the forearm.
+    """
     for side in ("left_", "right_"):
         upper, lower = (rig().axes[BONES.index(side + bone)] for bone in ("upper_arm", "forearm"))
         bend, spread, _ = ((whole[side + "upper_arm"].inv() * whole[side + "forearm"]).as_rotvec() @ lower).sum(axis=0)

@@ -206,7 +206,10 @@ def _same_half_space(rotations: Float[np.ndarray, "b 4"]) -> Float[np.ndarray, "
 def _blended(
     vertices: Float[np.ndarray, "v 3"], rotations: Float[np.ndarray, "b 4"], shifts: Float[np.ndarray, "b 3"]
 ) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "4 v"]]:
-    """The vertices moved by blended dual quaternions (x, y, z, w), and the rotation of each."""
+    """The vertices moved by blended dual quaternions (x, y, z, w), and the rotation of each.
+
+    By coordinates, as ``skin_normals``: ``np.cross`` takes several times longer.
+    """
     dual = 0.5 * _product(np.pad(shifts, ((0, 0), (0, 1))).T, rotations.T)
     blend = np.ascontiguousarray((rig().skin @ np.concatenate([rotations, dual.T], axis=1)).T)
     real, dual = (blend / np.linalg.norm(blend[:4], axis=0)).reshape(2, 4, -1)

@@ -300,7 +300,10 @@ def pieces_of(faces: Int[np.ndarray, "f 3"], size: int) -> Int[np.ndarray, " v"]
 
 
 def _welded_rims(vertices: np.ndarray, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "g 3"]:
-    """The faces with coincident vertices on rims merged; rims only: closed lips that touch are no seams."""
+    """The faces with coincident vertices on rims merged; faces that collapse are dropped.
+
+    Rims only: other surfaces that touch, such as closed lips, are not seams.
+    """
     edges, uses = half_edges_of(faces)
     rims = np.unique(edges[uses == 1])
     if not len(rims):

@@ -86,7 +86,10 @@ def tape(points: Float[np.ndarray, "n 2"], facing: tuple[float, float], *, over:
 
 
 def _hull_sides(points: np.ndarray) -> Float[np.ndarray, "h 2"]:
-    """The sides of the convex hull as vectors, clockwise; by GEOS, or by Qhull where that polygon is not convex."""
+    """The sides of the convex hull as vectors, clockwise: outward normals are to their left.
+
+    By GEOS, three times as fast as Qhull. Of some points GEOS 3.14 returns a polygon that is not convex: then by Qhull.
+    """
     corners = shapely.get_coordinates(shapely.convex_hull(shapely.linestrings(points)))
     sides = corners[1:] - corners[:-1]
     (x, y), (u, v) = sides.T, np.concatenate([sides[1:], sides[:1]]).T

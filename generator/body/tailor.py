@@ -303,7 +303,10 @@ def _nearest_on(segments: Float[np.ndarray, "s 2 3"], points: Float[np.ndarray, 
 
 
 def _leg_girth(vertices: np.ndarray, sites: Sites, marks: Landmarks, scale: float) -> tuple[float, float]:
-    """Level and girth of the larger thigh where legs part below the crotch; else of the lowest section's right part."""
+    """Level and girth of the larger thigh, at the first level below the crotch with separate legs.
+
+    If thighs overlap at all levels: the girth of the right part of the lowest section.
+    """
     start = marks.levels["leg_right"]
     levels = start - LEG_STEP * scale * np.arange(LEG_STEPS)
     middle, joined = _between_legs(vertices, sites, marks, levels, scale)

@@ -310,7 +310,10 @@ def _make_fields(given: Sequence[tuple[Body, HostField]], device: str) -> list[B
 
 
 def _extremities(points: Float[np.ndarray, "w 3"], known: SkinTopology) -> tuple[Float[np.ndarray, "h 3"], ...]:
-    """The vertices of ``HostField.hulls`` [cm], also where hands count as arms, feet as legs and the head as trunk."""
+    """The vertices of ``HostField.hulls`` [cm]; a body without hands, feet or head gets fewer than five.
+
+    Some segmentations, such as GarmentCode's, count hands as arms, feet as legs and the head as trunk.
+    """
     hands, feet, head = (points[part] for part in known.extremities)
     *arms, trunk = (points[limb] for limb in known.limbs)
     if not len(hands):

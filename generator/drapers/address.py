@@ -112,7 +112,10 @@ class DraperAddress:
         return connection
 
     def _try_connect(self) -> Connection | None:
-        """A connection after ``READY``, which a process that is about to end does not send; else ``None``."""
+        """A connection after its ``READY`` message; ``None`` if there is no process.
+
+        A process that is about to end may still accept the connection, but sends no ``READY``.
+        """
         try:
             connection = Client(str(socket_file(self.folder)), "AF_UNIX")
         except (FileNotFoundError, ConnectionRefusedError):

@@ -106,7 +106,10 @@ def moved(panel: Panel, by: Float[np.ndarray, "3"]) -> Panel:
 
 
 def _support(pattern: Pattern, wearer: Wearer, *, middle: float) -> _Support:
-    """The edge that holds a garment up, found by labels, names and openings; ``middle``: x of its symmetry [cm]."""
+    """The edge that holds a garment up, found by labels, names and openings, whatever its height.
+
+    ``middle``: x of the garment's plane of symmetry [cm].
+    """
     panels, openings, roles = pattern.panels, openings_of(pattern), {}
     for panel in panels:
         roles[panel.name] = panel.label or role_by_name(panel.name)
@@ -148,7 +151,10 @@ def _support(pattern: Pattern, wearer: Wearer, *, middle: float) -> _Support:
 
 
 def _is_armhole(opening: Opening, openings: Sequence[Opening], middle: float) -> bool:
-    """Whether an arm goes through an opening: beside the middle, in a garment that is open below it as well."""
+    """Whether an arm goes through an opening: it is beside the middle, and the garment is open below it as well.
+
+    That is, at neck and hem, or lower on the same side.
+    """
     aside = opening.centre[0] - middle
     inner = sum(abs(o.centre[0] - middle) <= ASIDE for o in openings)
     across = any(o.low[0] < middle < o.high[0] for o in openings)  # unlike leg warmers

@@ -252,7 +252,10 @@ def _hang(table: Mapping[str, _FlatPanel], pattern: Pattern, wearer: Wearer) -> 
 
 
 def _depths(table: Mapping[str, _FlatPanel], pattern: Pattern) -> dict[str, float]:
-    """Distance of each panel from the innermost layer [cm]: a panel hangs outside those that it overlaps."""
+    """Distance of each panel from the innermost layer [cm]: a panel hangs outside those that it overlaps.
+
+    Fronts with buttons hang side by side: the mesh parts their layers.
+    """
     buttoned = [{seam.left.panel, seam.right.panel} for seam in pattern.seams if seam.closure == Closure.BUTTONS]
     depths: dict[str, float] = {}
     for name, flat_panel in table.items():

@@ -89,7 +89,10 @@ def _over(limb: Limb, part: BodyPart, under: Sequence[WornCloth]) -> Limb:
 def _keep_beside_trunk(
     mesh: BoxMesh, sleeve: Bool[np.ndarray, " f"], arm: Limb, side: float, trunk: Limb, placed: Float[np.ndarray, "v 3"]
 ) -> None:
-    """Compress a sleeve, in ``placed``, where it reaches below its armhole into the trunk or into cloth beside it."""
+    """Compress a sleeve, in ``placed``, where it reaches below its armhole into the trunk or into cloth beside it.
+
+    It is compressed towards the inside of the arm, or where there is no arm towards its own outside.
+    """
     own, other = np.zeros((2, len(placed)), bool)
     own[mesh.faces[sleeve]] = other[mesh.faces[~sleeve]] = True
     below = placed[:, 1] < placed[own & other, 1].min(initial=np.inf)
@@ -121,7 +124,10 @@ def _put_on_legs(
     under: Sequence[WornCloth],
     placed: Float[np.ndarray, "v 3"],
 ) -> None:
-    """Put trouser legs on the legs, in ``placed``, below the crotch: the lowest point at which both legs meet."""
+    """Put trouser legs, below the crotch, on the legs, in ``placed``.
+
+    The crotch is the lowest point at which both trouser legs meet.
+    """
     y = mesh.vertices[:, 1][mesh.faces].mean(axis=1)
     sides = [on_side(mesh, trousers, side) for side in (1.0, -1.0)]
     left, right = np.zeros((2, len(mesh.vertices)), bool)
@@ -152,7 +158,10 @@ def _keep_off_the_other_leg(
 
 
 def _end_above_feet(rows: Int[np.ndarray, " n"], body: Body, placed: Float[np.ndarray, "v 3"]) -> None:
-    """Compress a skirt too narrow for the feet, in ``placed``, to end above them, centred on both legs."""
+    """Compress a skirt that is too narrow to be sewn round the feet, in ``placed``, to end above them.
+
+    The skirt is centred on the legs, and widened where it does not reach beyond both. ``rows``: vertices of the skirt.
+    """
     legs = [leg_of(body, part) for part in (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG)]
     if any(leg is None or abs(leg.axis[1]) < UPRIGHT for leg in legs):
         return

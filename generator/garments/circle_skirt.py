@@ -163,7 +163,10 @@ def _require_uncut_waist(piece: Piece, hole: float) -> None:
 
 
 def _with_cut(piece: Piece, shape: tuple[Stroke, ...], width: float, share: float) -> Piece:
-    """The piece with a shape cut into its hem, centred at a share of the hem from the right, or inside its end."""
+    """The piece with a shape cut into its hem, centred at a share of the hem from the wearer's right.
+
+    A cut that would run over the end of the hem is moved inwards.
+    """
     hem = piece.outline.length("bottom")
     at, least = share * hem, 0.5 * width + LEAST_HEM * hem
     if at < least:
@@ -244,7 +247,10 @@ def panel_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) 
 
 
 def _with_bent_hem(panel: Piece, bulge: float) -> Piece:
-    """The panel with an arc of that sagitta over chord as its hem, positive outwards. Raises ``PatternError``."""
+    """The panel with an arc as its hem; ``bulge`` is sagitta over chord, positive outwards.
+
+    Raises ``PatternError`` for a hem that bends inwards over the sides or the top.
+    """
     if not bulge:
         return panel
     hem, side = panel.outline.edge("bottom"), panel.outline.edge("right").chord

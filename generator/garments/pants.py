@@ -140,7 +140,10 @@ def _cuff_length(size: Measurements, design: PantsDesign) -> float:
 def _quarters(
     size: Measurements, design: PantsDesign, rise: float, mends: frozenset[Mend] = ALL_MENDS
 ) -> tuple[Quarter, Quarter]:
-    """Front and back of one leg. Raises ``PatternError`` for legs too thin to leave a crotch for the back."""
+    """Front and back of one leg.
+
+    Raises ``PatternError`` for legs so thin relative to the hips that no crotch is left for the back.
+    """
     front = front_quarter(size, rise, mends, leg=DART_DEPTH)
     front = front._replace(crotch=FRONT_CROTCH * front.hips)
     crotch = design.width * (size.leg_circ - 0.5 * size.hips + CROTCH_EASE) - front.crotch

@@ -159,7 +159,10 @@ def _meta(
 def _held_up(
     draft: GarmentDesign, wearers: Sequence[Measurements], rng: np.random.Generator, overlay: Overlay
 ) -> tuple[GarmentDesign, dict[Redraw, int]]:
-    """The draft, its skirt on a band or replaced by trousers where it would slide off a wearer, and the redraws."""
+    """The draft with a skirt that would slide off a wearer put on a band or replaced by trousers, and the redraws.
+
+    A skirt alone is held up by the hips below its top, trousers by the crotch.
+    """
     meta, space = draft.meta, _sections(overlay)["meta"]
     if meta.upper or not meta.bottom or meta.bottom.garment.legs:
         return draft, {}

@@ -173,7 +173,10 @@ def sleeve(
 
 @lru_cache(maxsize=16)  # sleeves that differ in length or cuff have the same opening
 def _opening(armhole: Stroke, rest: float, mix: float) -> Stroke:
-    """The sleeve's edge for an armhole, up to the shoulder at the origin, with its chord turned by ``rest`` [rad]."""
+    """The sleeve's edge for an armhole, from the underarm up to the shoulder, which is the origin.
+
+    It has the armhole's length, points straight down at the shoulder, and its chord is turned by ``rest`` [rad].
+    """
     along = rotate(DOWN, -rest)
     towards = DOWN if mix > 0 else (-1.0, 0.0)
     tangent = ((1 - mix) * along[0] + abs(mix) * towards[0], (1 - mix) * along[1] + abs(mix) * towards[1])
@@ -269,7 +272,10 @@ def sleeve_of(size: Measurements, design: SleeveDesign, half: Component, *, mend
 
 
 def _clear_of(half: Component, arm: Component, angle: float) -> Component:
-    """The sleeve moved out along the arm until it overlaps the trunk by at most ``OVERLAP``: else it tangles."""
+    """The sleeve moved out along the arm until it overlaps the trunk by at most ``OVERLAP``, as on a plain shirt.
+
+    Without the shift, shirts with wide sides or gathered sleeves tangle while their seams close.
+    """
     trunk = shapely.union_all([_silhouette(piece) for piece in half.pieces])
     silhouette = shapely.union_all([_silhouette(piece) for piece in arm.pieces])
     along = (-cos(angle), -sin(angle))

@@ -95,7 +95,11 @@ def _shirt_over_hips(size: Measurements, design: GarmentDesign, hem: float, wear
 
 
 def _hung(size: Measurements, design: GarmentDesign, wearer: Measurements) -> list[tuple[Component, float]]:
-    """The parts from the top down, with the depth of their lower ends below the waist [cm]; NaN for a bottom."""
+    """The parts from the top down, with the depth of their lower ends below the wearer's waist [cm].
+
+    Each part is hung under the part above it; the first hangs where it is drawn.
+    A bottom has depth NaN: no ring depends on the depth of its hem.
+    """
     meta = design.meta
     if meta.upper:
         hem = meta.upper.garment.length(size, design) - wearer.waist_line

@@ -174,7 +174,10 @@ def _remedies(*paths: str) -> tuple[Remedy, ...]:
 
 
 def _half_remedies(half: str) -> Mapping[str, tuple[Remedy, ...]]:
-    """Panel at fault of a shirt's half, or the empty name where drawing or a seam fails, to the remedies."""
+    """Panel at fault of a shirt's half to the remedies; the empty name: a seam does not match or drawing fails.
+
+    Both halves of a neckline have the same depth.
+    """
     return {
         "right_ftorso": _remedies("collar.fc_depth-", f"{half}collar.f_collar", f"{half}collar.width"),
         "right_btorso": _remedies("collar.bc_depth-", f"{half}collar.b_collar", f"{half}collar.width"),
@@ -296,7 +299,11 @@ class _Fitting:
         return design
 
     def with_room(self, design: GarmentDesign) -> GarmentDesign:
-        """The design with a straight shirt that leaves room for the hips: shortened, or wider if its hem is free."""
+        """The design with a straight shirt that leaves room for the hips.
+
+        A shirt with a part sewn to its hem is shortened, so that the part is worn nearer to the waist, for which it is
+        cut; a free hem is widened.
+        """
         upper = design.meta.upper
         if upper is None or not isinstance(upper.garment, Shirt) or upper.garment.at_waist:
             return design

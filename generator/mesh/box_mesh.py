@@ -308,7 +308,10 @@ def _consistent_corners(panels: _MeshedPanels, pattern: Pattern) -> Int[np.ndarr
 
 
 def _in_order(corners: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
-    """The faces sorted, each from its least corner: panel by panel, and small when stored."""
+    """The faces sorted, each from its least corner: panel by panel, and small when stored.
+
+    No two faces share their first two corners in the same order.
+    """
     a, b, c = np.ascontiguousarray(corners.T)
     first = np.minimum(np.minimum(a, b), c)
     second = np.where(a == first, b, np.where(b == first, c, a))
@@ -381,7 +384,10 @@ def _require_faces(
 def _labels(
     pattern: Pattern, edges: Mapping[EdgeRef, Int[np.ndarray, " n"]], vertex: Int[np.ndarray, " c"]
 ) -> dict[str, Int[np.ndarray, " n"]]:
-    """Vertices by edge label: of a free edge the inner ones alone. Raises ``MeshError`` for contradictory labels."""
+    """Vertices by edge label: all vertices of a labelled seam, the inner vertices of a labelled free edge.
+
+    Raises ``MeshError`` for a seam whose sides have different labels.
+    """
     label_of: dict[EdgeRef, str] = {
         EdgeRef(panel.name, index): edge.label for panel in pattern.panels for index, edge in enumerate(panel.edges)
     }

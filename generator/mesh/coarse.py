@@ -145,7 +145,11 @@ class _Graph:
         return self.length[np.searchsorted(self.key, np.where(known, start * self.size + end, self.key[0]))]
 
     def chains(self, corners: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-        """The segments as chains between corners or branches: the vertices, and the chain of each."""
+        """The segments as chains of vertices, one after the other: the vertices, and the chain of each.
+
+        A chain runs between corners or vertices without exactly two neighbours. A closed border without one becomes a
+        chain that starts and stops at the same vertex.
+        """
         start, end = np.divmod(self.key, self.size)
         stops = np.bincount(start, minlength=self.size) != 2
         stops[corners] = True
@@ -264,7 +268,10 @@ def _fill(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned) -> _Filled:
 def _require_outlines(
     names: Sequence[str], flat: Float[np.ndarray, "b 2"], number: Int[np.ndarray, " b"], sizes: Int[np.ndarray, " p"]
 ) -> None:
-    """Raise ``MeshError`` for a border of fewer than three points, or one that touches itself."""
+    """Raise ``MeshError`` for a border of fewer than three points, or one that touches itself.
+
+    ``number``: the border of each point, ascending.
+    """
     narrow = sizes < 3
     if not narrow.any():
         narrow = ~shapely.is_valid(shapely.polygons(shapely.linearrings(flat, indices=number)))
@@ -346,7 +353,10 @@ def _in_space(
 def _interpolation(
     mesh: BoxMesh, thinned: Thinned, filled: _Filled, vertex: Int[np.ndarray, " q"]
 ) -> tuple[Int[np.ndarray, "v 3"], Float[np.ndarray, "v 3"]]:
-    """The coarse vertices that each fine vertex is interpolated from, and their weights, none below zero."""
+    """The coarse vertices that each fine vertex is interpolated from, and their weights, none below zero.
+
+    Border vertices: a kept one is the coarse vertex itself, a dropped one lies between its kept neighbours.
+    """
     number = np.cumsum(thinned.kept) - 1
     rows, triangle = filled.inner, filled.faces[filled.holding]
     found = barycentric(filled.flat, triangle, mesh.uv[rows]).T.clip(0.0)

@@ -102,7 +102,10 @@ def _bridged(
 def _pinch(
     points: Float[np.ndarray, "n 2"], loop: Int[np.ndarray, " m"]
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " l"]] | None:
-    """The point farthest from one that a loop visits twice, and the points off the way; ``None`` for a simple loop."""
+    """The farthest point of the longest detour of a loop from a point that it visits twice, and the points off the way.
+
+    ``None`` for a loop that visits no point twice.
+    """
     at: dict[int, int] = {}
     detour, root = loop[:0], -1
     for place, point in enumerate(loop.tolist()):

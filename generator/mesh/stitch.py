@@ -101,7 +101,10 @@ def sample_border(panel: Panel, counts: dict[EdgeRef, int]) -> Border:
 def _sample_lines(
     panel: Panel, counts: dict[EdgeRef, int], place: dict[int, int], total: int
 ) -> tuple[Float[np.ndarray, "m 2"], tuple[Int[np.ndarray, " l"], ...]]:
-    """The points of lines off the outline, numbered from ``total``; ``place``: vertex to its point on the outline."""
+    """The points of lines off the outline, numbered from ``total``, and the points of each line.
+
+    ``place``: vertex to its point on the outline.
+    """
     inner: list[Float[np.ndarray, "k 2"]] = [np.zeros((0, 2))]
     lines = []
 

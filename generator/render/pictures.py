@@ -165,7 +165,10 @@ def draw_view(
 def _balanced(
     lights: Lights, environment: Environment, camera: Camera, *, left: float, cast: float
 ) -> tuple[Lights, Environment]:
-    """Lights and surroundings by the camera's white balance; a user's panorama counts as white."""
+    """Lights and surroundings by the camera's white balance for cloth that faces it.
+
+    A user's panorama keeps its colours, and counts as white.
+    """
     is_panorama = environment.kind is EnvironmentKind.PANORAMA
     around = (1.0, 1.0, 1.0) if is_panorama else environment.light[1]
     gains, _ = white_balance(lights.arriving(around, -camera.rotation[2]), left=left, cast=cast)

@@ -310,7 +310,10 @@ def _differ(mask: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _jumps(image: RangeImage, turned: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
-    """How far each of two neighbours lies off the other's tangent plane [cm]; infinite between both sides."""
+    """How far each of two neighbours, across and down, lies off the other's tangent plane [cm].
+
+    Infinite between the two sides of the cloth.
+    """
     place, normal = image.positions(), image.normals
     jumps = []
     for a, b in (((slice(None), slice(None, -1)), (slice(None), slice(1, None))), (slice(None, -1), slice(1, None))):
