@@ -81,23 +81,36 @@ def motion_as_stored(vertices: np.ndarray) -> np.ndarray:
     return np.concatenate([first, later]).astype(np.float32)
 
 
-def _earlier(faces: Int[np.ndarray, "f 3"], count: int) -> list[np.ndarray]:
-    """For each vertex its neighbours of lower numbers."""
+def _pairs(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "e 2"]:
+    """Neighbours, the lower number first, in the order of the higher ones."""
     ends = np.sort(mesh_edges(faces).ends, axis=1)
-    ends = ends[np.argsort(ends[:, 1], kind="stable")]
-    return np.split(ends[:, 0], np.searchsorted(ends[:, 1], np.arange(1, count)))
+    return ends[np.argsort(ends[:, 1], kind="stable")]
 
 
-def _mean(ways: Int[np.ndarray, "k n"]) -> Int[np.ndarray, " n"]:
-    return (2 * ways.sum(axis=0) + len(ways)) // (2 * len(ways)) if len(ways) else np.zeros(ways.shape[1], np.int64)
+def _means(
+    ways: Int[np.ndarray, "v n"], pairs: Int[np.ndarray, "e 2"]
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, "k n"]]:
+    """The vertices that come second in pairs, and for each the rounded mean of the ways of those that come first."""
+    begins = np.flatnonzero(np.diff(pairs[:, 1], prepend=-1))
+    counts = np.diff(begins, append=len(pairs))[:, None]
+    sums = np.add.reduceat(ways[pairs[:, 0]], begins, axis=0)
+    return pairs[begins, 1], (2 * sums + counts) // (2 * counts)
 
 
 def _less_neighbours(ways: Int[np.ndarray, "v n"], faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "v n"]:
-    return np.stack([way - _mean(ways[ids]) for way, ids in zip(ways, _earlier(faces, len(ways)), strict=True)])
+    rests = ways.copy()
+    rows, means = _means(ways, _pairs(faces))
+    rests[rows] -= means
+    return rests
 
 
 def _plus_neighbours(rests: Int[np.ndarray, "v n"], faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "v n"]:
-    ways = rests.copy()
-    for number, ids in enumerate(_earlier(faces, len(ways))):
-        ways[number] += _mean(ways[ids])
+    ways, pairs, ranks = rests.copy(), _pairs(faces), [0] * len(rests)
+    for lower, higher in pairs.tolist():  # a vertex ranks above its neighbours of lower numbers
+        ranks[higher] = max(ranks[higher], ranks[lower] + 1)
+    of_pairs = np.array(ranks)[pairs[:, 1]]
+    order = np.argsort(of_pairs, kind="stable")
+    for same in np.split(pairs[order], np.flatnonzero(np.diff(of_pairs[order])) + 1):
+        rows, means = _means(ways, same)
+        ways[rows] += means
     return ways

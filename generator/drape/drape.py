@@ -153,12 +153,7 @@ def drape_on(
     time = config.sewing_time + config.held_time
     slots = Slots.of(model, config, [CoarseEnd.at_rest(rests[k].vertices, time, device) for k, _ in begun])
     for w, (_, part) in enumerate(begun):
-        first = part.part(0, 0)
-        slots.move(
-            w,
-            replace(first, keys=(part.home, *first.keys), axes=2 * first.axes, ways_back=2 * first.ways_back),
-            ends=False,
-        )
+        slots.move(w, part.from_home(), ends=False)
         slots.move_on(w, part, 1.0 / fps)
     solver, number_in = slots.solver, dict(enumerate(k for k, _ in begun))
     while number_in:

@@ -36,15 +36,14 @@ class Motion:
 
     body: Body
     """The body in its last position."""
-    keys: tuple[Float32[np.ndarray, "w 3"], ...]
-    """Positions of the skin's vertices at equal intervals of time, from the start to the end of the motion [cm]."""
+    points: Float32[np.ndarray, "k w+a 3"]
+    """Positions of the skin's vertices, then of the ends of the axes of the body's parts (see ``BodyField.axes``), at
+    equal intervals of time, from the start to the end of the motion [cm]; of a row, as a device reads it."""
     home: Float32[np.ndarray, "w 3"]
     """Positions in the A-pose, in which measures are taken [cm]."""
     trunk: Bool[np.ndarray, " w"]
     """Whether a vertex belongs to the trunk."""
-    axes: tuple[Float[np.ndarray, "2 axes 3"], ...]
-    """The axes of the body's parts at the same times as ``keys``: see ``BodyField.axes`` [cm]."""
-    ways_back: tuple[Float32[np.ndarray, "4 3"], ...]
+    ways_back: Float32[np.ndarray, "k 4 3"]
     """The rigid motions of the trunk from ``keys`` back to the A-pose: a turn, and in the last row a shift [cm]."""
 
     @classmethod
@@ -53,11 +52,11 @@ class Motion:
         skin = closed_skin(bodies[0]).skin
         *keys, at_home = (skin.points(body.vertices).astype(np.float32) for body in (*bodies, home or bodies[0]))
         ends = axis_ends(home or bodies[0])
-        axes = tuple(axes_at(key, ends) for key in keys)
+        points = np.stack([np.concatenate([key, axes_at(key, ends).reshape(-1, 3)], dtype=np.float32) for key in keys])
         trunk = bodies[0].parts == BodyPart.TRUNK.value
         trunk = np.pad(trunk, (0, len(keys[0]) - len(trunk)))
-        ways_back = tuple(_rigid_motion(key[trunk].astype(float), at_home[trunk].astype(float)) for key in keys)
-        return cls(bodies[-1], tuple(keys), at_home, trunk, axes, ways_back)
+        ways_back = [_rigid_motion(key[trunk].astype(float), at_home[trunk].astype(float)) for key in keys]
+        return cls(bodies[-1], points, at_home, trunk, np.stack(ways_back))
 
     @classmethod
     def to_pose(cls, body: Body, pose: Pose) -> Self:
@@ -77,7 +76,23 @@ class Motion:
     def part(self, first: int, last: int) -> Self:
         """The motion from one of its keys to another."""
         own = slice(first, last + 1)
-        return replace(self, keys=self.keys[own], axes=self.axes[own], ways_back=self.ways_back[own])
+        return replace(self, points=self.points[own], ways_back=self.ways_back[own])
+
+    def from_home(self) -> Self:
+        """The motion from the A-pose to the first key."""
+        points = self.points[[0, 0]]
+        points[0, : len(self.home)] = self.home
+        return replace(self, points=points, ways_back=self.ways_back[[0, 0]])
+
+    @property
+    def keys(self) -> Float32[np.ndarray, "k w 3"]:
+        """Positions of the skin's vertices [cm]."""
+        return self.points[:, : len(self.home)]
+
+    @property
+    def last_axes(self) -> Float32[np.ndarray, "2 axes 3"]:
+        """The axes of the body's parts at the last key [cm]."""
+        return self.points[-1, len(self.home) :].reshape(2, -1, 3)
 
     @property
     def seconds(self) -> float:

@@ -159,7 +159,7 @@ class Slots:
             count, refit = math.ceil(motion.seconds / frame), refitting(body.mesh)
             skin = MovingSkin(w, body.mesh, motion, self._keys(motion), count, frame, refit)
             row["skin"] = self._meshes[w] = body.mesh.id
-            self._axes[2 * w : 2 * w + 2] = motion.axes[-1]
+            self._axes[2 * w : 2 * w + 2] = motion.last_axes
             row["lowest"] -= max(motion.drop, 0.0)
             row["max_frames"] = skin.frames + solver.config.max_frames if ends else ENDLESS
             model.worlds.assign(self._rows)
@@ -180,11 +180,7 @@ class Slots:
         )
 
     def _keys(self, motion: Motion) -> wp.array:
-        keys = [
-            np.concatenate([key, axes.reshape(-1, 3).astype(np.float32)])
-            for key, axes in zip(motion.keys, motion.axes, strict=True)
-        ]
-        return wp.array(np.stack(keys), dtype=wp.vec3, device=self.solver.model.device)
+        return wp.array(motion.points, dtype=wp.vec3, device=self.solver.model.device)
 
     def free(self, worlds: Sequence[int]) -> None:
         """Give up the places of garments."""
