@@ -173,19 +173,22 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
         yield from untangle(solver, crossing)
     most = np.zeros(model.n_worlds, int)
     most[list(worlds)] = [OVER_CLOTH if job.under else FINISHES for job in jobs]
+    now, counts, through = finished, np.zeros((len(CROSSING_COUNTS), model.n_worlds), int), None
     for number in range(1, 1 + (int(most.max()) if solver.config.exact_finish else 1)):
         with launch_lock:
             if solver.config.exact_finish:
-                solver.leave_skin(chosen)
+                solver.leave_skin(chosen, through)
             solver.round_positions(chosen)
-            every = solver.chosen(finished)
-            results = [*(solver.counted(kernel, every) for kernel in CROSSING_COUNTS), solver.stretches(), state.x]
-        self_crossings, body_crossings, body_through, stretches, x = yield from fetch(*results)
-        pierced = (body_crossings + body_through > 0) & (body_crossings <= solver.config.max_body_crossings)
-        pierced &= worn & (number < most)
-        if not pierced.any():
+            *found, through = [solver.counted(k, chosen, refit=k is SELF_CROSSINGS) for k in CROSSING_COUNTS]
+            results = [*found, through, solver.stretches(), state.x]
+        *fresh, stretches, x = yield from fetch(*results)
+        counts = np.where(now, fresh, counts)
+        self_crossings, body_crossings, body_through = counts
+        now = (body_crossings + body_through > 0) & (body_crossings <= solver.config.max_body_crossings)
+        now &= worn & (number < most)
+        if not now.any():
             break
-        chosen = solver.chosen(pierced)
+        chosen = solver.chosen(now)
     drapes = []
     for job, w in zip(jobs, worlds, strict=True):
         vertices = np.array(x[model.vertices[w]], np.float32)

@@ -102,10 +102,13 @@ class Solver:
                 raise DrapeError(f"a garment has ended before {seconds} s: raise max_frames and held_time")
             self.frame()
 
-    def leave_skin(self, chosen: wp.array) -> None:
-        """Move cloth of the chosen worlds off the skin and worn garments, without new crossings of cloth with cloth."""
+    def leave_skin(self, chosen: wp.array, pierced: wp.array | None = None) -> None:
+        """Move cloth of the chosen worlds off the skin and worn garments, without new crossings of cloth with cloth.
+
+        ``pierced``: what ``BODY_THROUGH`` counts in them, if known.
+        """
         m, s = self.model, self.state
-        pierced = self.counted(BODY_THROUGH, chosen)
+        pierced = self.counted(BODY_THROUGH, chosen) if pierced is None else pierced
         through, height = wp.zeros_like(s.search.listed), wp.zeros(m.n_vertices, dtype=float, device=m.device)
         skins, most_edges = self._skin_edges()
         allowed, start, moved = wp.empty(m.n_vertices, dtype=float, device=m.device), wp.clone(s.x), wp.empty_like(s.x)
@@ -141,8 +144,11 @@ class Solver:
         """(w) edges of each world's skin that cross the cloth."""
         return to_host(self.counted(BODY_THROUGH, self.chosen(None)))
 
-    def counted(self, kernel: wp.Kernel, chosen: wp.array) -> wp.array:
-        """(w) what one of ``CROSSING_COUNTS`` counts in the worlds marked in ``chosen`` (w), on the device."""
+    def counted(self, kernel: wp.Kernel, chosen: wp.array, *, refit: bool = True) -> wp.array:
+        """(w) what one of ``CROSSING_COUNTS`` counts in the worlds marked in ``chosen`` (w), on the device.
+
+        ``refit``: whether the cloth has moved since the BVH was refitted.
+        """
         m = self.model
         inputs: list[Any] = [m.worlds, m.cloth] if kernel is BODY_CROSSINGS else [m.cloth]
         dim: int | tuple[int, int] = m.n_edges
@@ -150,7 +156,7 @@ class Solver:
             skins, most_edges = self._skin_edges()
             inputs, dim = [*inputs, skins], (len(skins), most_edges)
         if kernel is not BODY_CROSSINGS:
-            inputs += self.refitted_bvh()
+            inputs += self.refitted_bvh() if refit else (self._bvh.id, self._roots)
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
         self.launch(kernel, dim, [*inputs, chosen, self.state.x], [counts])
         return counts
