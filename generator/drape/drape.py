@@ -13,7 +13,7 @@ import warp as wp
 from jaxtyping import Int
 
 from gcd_dataset.errors import ConfigError, DrapeError
-from gcd_dataset.generator.device import Resumable, cores, resolve_device
+from gcd_dataset.generator.device import Resumable, cores, keep_freed_memory, resolve_device
 from gcd_dataset.generator.drape.batches import PreparedJob, drape_unordered
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.loading import load_drape
@@ -155,7 +155,20 @@ def drape_on(
     for w, (_, part) in enumerate(begun):
         slots.move(w, part.from_home(), ends=False)
         slots.move_on(w, part, 1.0 / fps)
-    solver, number_in = slots.solver, dict(enumerate(k for k, _ in begun))
+    with keep_freed_memory(device):
+        yield from _moved(slots, dict(enumerate(k for k, _ in begun)), prepared, parts, fps, device)
+
+
+def _moved(
+    slots: Slots,
+    number_in: dict[int, int],
+    prepared: Sequence[PreparedJob],
+    parts: Sequence[Iterator[Motion]],
+    fps: float,
+    device: str,
+) -> Iterator[tuple[int, Drape]]:
+    """The drapes of ``drape_on``; ``number_in``: the number of the job in each world."""
+    solver = slots.solver
     while number_in:
         solver.frame()
         arrived = [w for w in number_in if solver.moving[w].is_at_key]

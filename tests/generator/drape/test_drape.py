@@ -160,9 +160,9 @@ def test_pierced_cloth_leaves_the_skin_in_several_passes(monkeypatch: pytest.Mon
     passes = list[int]()
     leave_skin = Solver.leave_skin
 
-    def counted(solver: Solver, chosen: wp.array) -> None:
+    def counted(solver: Solver, chosen: wp.array, pierced: wp.array | None) -> None:
         passes.append(int(chosen.numpy()[0]))
-        leave_skin(solver, chosen)
+        leave_skin(solver, chosen, pierced)
 
     monkeypatch.setattr(Solver, "leave_skin", counted)
     once = DrapeConfig(most_drapes=1, coarse_start=False)
