@@ -66,6 +66,7 @@ $TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 8 --
 $TRAIN --model stitches --task T3 --set foreign=0.1 --train 24000 --minutes 8 --checks 2 --compile --test-source runs/freesewing --out runs/T3-long
 $TRAIN --model stitches --task T3 --set foreign=0.1 --train 36000 --minutes 8.5 --checks 2 --validate 500 --compile --out runs/T3-kept
 $TRAIN --model stitches --task T3 --set foreign=0.1 --train 36000 --minutes 8.5 --checks 2 --validate 500 --compile --seed 1 --out runs/T3-seed1
+$TRAIN --model stitches --task T3 --set foreign=0.1 --train 36000 --minutes 11 --checks 2 --validate 500 --compile --seed 2 --out runs/T3-seed2
 $TRAIN --model stitches --task T3 --set foreign=0.1 --train 64 --steps 0 --weights benchmarks/reconstruction/weights/T3.pt --out runs/T3-again
 $TRAIN --model stitches --task T3 --set foreign=0.1 --train 64 --steps 0 --weights benchmarks/reconstruction/weights/T3.pt --test-source runs/freesewing --out runs/T3-again
 $TRAIN --model stitches --task T3 --set foreign=0.1 --train 4000 --steps 1500 --compile --out runs/families-T3-all
