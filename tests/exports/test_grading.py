@@ -198,16 +198,18 @@ def test_a_design_that_no_size_can_wear_writes_nothing(tmp_path: Path, capsys: p
 
 
 def test_a_specification_without_its_design_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out, design = tmp_path / "out", {**TROUSERS, "waistband": {"waist": 1.0}}
-    assert run("grade", design_file(tmp_path, design), "--chart", "women", "--out", out, "--seam-allowance", 2) == 0
-    spec = out / "trousers_88_specification.json"
+    out, again = tmp_path / "out", tmp_path / "again"
+    assert run("grade", design_file(tmp_path, TROUSERS), "--chart", "women", "--out", out, "--seam-allowance", 2) == 1
+    spec = out / "trousers_84_specification.json"
     capsys.readouterr()
-    assert run("grade", spec, "--chart", "women", "--out", tmp_path / "again") == 1
+    assert run("grade", spec, "--chart", "women", "--out", again) == 1
     error = capsys.readouterr().err
     assert f"{spec}: a specification without its design" in error and "give the design_params.yaml" in error
+    assert not again.exists()
     tree = json.loads(spec.read_text())
-    spec.write_text(json.dumps({**tree, "design": design}))
-    assert run("grade", spec, "--chart", "women", "--out", tmp_path / "again") == 0
+    spec.write_text(json.dumps({**tree, "design": TROUSERS}))
+    assert run("grade", spec, "--chart", "women", "--out", again) == 1  # nine sizes are rejected
+    assert capsys.readouterr().out.startswith(f"{again}: 3 of 12 sizes")
 
 
 def test_wrong_usage_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -228,7 +228,7 @@ def test_misfits_are_no_failed_drapes() -> None:
 
 def test_workers_change_no_byte_where_some_wearers_can_put_on_a_design() -> None:
     config = replace(MISFIT, bodies_each=2, captions=True, views=1, view_size=32)
-    alone, shared = (list(produce(3, range(6), config, finished=encode_sample, workers=n)) for n in (0, 2))
+    alone, shared = (list(produce(4, range(3), config, finished=encode_sample, workers=n)) for n in (0, 2))
     assert alone == shared
     outcomes = Counter(decode_sample(members).drape.outcome for members in alone)  # type: ignore[union-attr]
     assert len(outcomes) > 1 and Outcome.CANNOT_BE_PUT_ON in outcomes
