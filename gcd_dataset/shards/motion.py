@@ -9,7 +9,7 @@ from jaxtyping import Int
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.records import FPS, MOTION_STEP, POSITION_STEP, GarmentMotion, Pose, as_stored
+from gcd_dataset.records import FPS, MOTION_STEP, POSITION_STEP, GarmentMotion, Pose
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.sections import Coding, pack, unpack
 
@@ -76,9 +76,14 @@ def decode_motion(data: Bytes) -> GarmentMotion:
 
 
 def motion_as_stored(vertices: np.ndarray) -> np.ndarray:
-    """(t, v, 3) positions as ``decode_motion`` returns them."""
-    first, later = as_stored(vertices[:1], POSITION_STEP), as_stored(vertices[1:], MOTION_STEP)
-    return np.concatenate([first, later]).astype(np.float32)
+    """(t, v, 3) positions as ``decode_motion`` returns them.
+
+    A step is a power of 2, so that single precision rounds as double precision does.
+    """
+    steps = np.full((len(vertices), 1, 1), MOTION_STEP, np.result_type(vertices, np.float32))
+    steps[:1] = POSITION_STEP
+    stored = vertices / steps
+    return np.multiply(np.rint(stored, out=stored), steps, dtype=np.float32, casting="same_kind")
 
 
 def _pairs(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "e 2"]:
