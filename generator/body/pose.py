@@ -226,21 +226,12 @@ def _product(a: Float[np.ndarray, "4 n"], b: Float[np.ndarray, "4 n"]) -> Float[
 def _turned(vectors: Float[np.ndarray, "3 n"], rotations: Float[np.ndarray, "4 n"]) -> Float[np.ndarray, "3 n"]:
     """Each vector, turned by its unit quaternion (x, y, z, w)."""
     axis, w = rotations[:3], rotations[3]
-    across = _cross(axis, vectors)
-    across += w * vectors
-    moves = _cross(axis, across)
-    moves *= 2.0
-    moves += vectors
-    return moves
+    return vectors + 2.0 * _cross(axis, _cross(axis, vectors) + w * vectors)
 
 
 def _cross(a: Float[np.ndarray, "3 n"], b: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "3 n"]:
     (x, y, z), (p, q, r) = a, b
-    crossed = np.empty_like(b)
-    for row, u, v, s, t in zip(crossed, (y, z, x), (r, p, q), (z, x, y), (q, r, p), strict=True):
-        np.multiply(u, v, out=row)
-        row -= s * t
-    return crossed
+    return np.stack([y * r - z * q, z * p - x * r, x * q - y * p])
 
 
 def require_possible(pose: Pose, body: Body | None = None) -> None:

@@ -37,8 +37,8 @@ class Motion:
     body: Body
     """The body in its last position."""
     points: Float32[np.ndarray, "k w+a 3"]
-    """Positions of the skin's vertices, then of the ends of the axes of the body's parts (see ``BodyField.axes``), at
-    equal intervals of time, from the start to the end of the motion [cm]; of a row, as a device reads it."""
+    """Positions of the skin's vertices, then of the ends of ``BodyField.axes`` [cm]: a row for each of k times at equal
+    intervals, from the start to the end of the motion."""
     home: Float32[np.ndarray, "w 3"]
     """Positions in the A-pose, in which measures are taken [cm]."""
     trunk: Bool[np.ndarray, " w"]

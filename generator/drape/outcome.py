@@ -173,7 +173,7 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
         yield from untangle(solver, crossing)
     most = np.zeros(model.n_worlds, int)
     most[list(worlds)] = [OVER_CLOTH if job.under else FINISHES for job in jobs]
-    now, counts, through = finished, np.zeros((len(CROSSING_COUNTS), model.n_worlds), int), None
+    touched, counts, through = finished, np.zeros((len(CROSSING_COUNTS), model.n_worlds), int), None
     for number in range(1, 1 + (int(most.max()) if solver.config.exact_finish else 1)):
         with launch_lock:
             if solver.config.exact_finish:
@@ -182,13 +182,13 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
             *found, through = [solver.counted(k, chosen, refit=k is SELF_CROSSINGS) for k in CROSSING_COUNTS]
             results = [*found, through, solver.stretches(), state.x]
         *fresh, stretches, x = yield from fetch(*results)
-        counts = np.where(now, fresh, counts)
+        counts = np.where(touched, fresh, counts)
         self_crossings, body_crossings, body_through = counts
-        now = (body_crossings + body_through > 0) & (body_crossings <= solver.config.max_body_crossings)
-        now &= worn & (number < most)
-        if not now.any():
+        touched = (body_crossings + body_through > 0) & (body_crossings <= solver.config.max_body_crossings)
+        touched &= worn & (number < most)
+        if not touched.any():
             break
-        chosen = solver.chosen(now)
+        chosen = solver.chosen(touched)
     drapes = []
     for job, w in zip(jobs, worlds, strict=True):
         vertices = np.array(x[model.vertices[w]], np.float32)

@@ -175,6 +175,21 @@ def test_pierced_cloth_leaves_the_skin_in_several_passes(monkeypatch: pytest.Mon
     assert not crosses(clean)
 
 
+def test_the_finish_of_a_garment_keeps_the_counts_of_the_others() -> None:
+    """A cloth that no pass takes off a spike, beside two sheets that cross each other, far from a body."""
+    lying = patch(4, 4, spacing=2.0, place=LYING, origin=(0.0, SIZE.waist_level, 0.0))
+    standing = patch(4, 4, spacing=2.0, place=np.eye(3)[:, :2], origin=(1.0, SIZE.waist_level - 3.0, -3.5))
+    jobs = [on_a_spike(), DrapeJob(joined(lying, standing), far_ball(), SIZE)]
+    found, config = list[Drape](), DrapeConfig(untangling_steps=0)
+    for some in (jobs, jobs[:1], jobs[1:]):
+        solver = Solver(build_model(some, config, "cpu"), config)
+        solver.state.status.fill_(DONE)
+        found += waited(collect(solver, some, range(len(some))))
+    assert found[:2] == found[2:]
+    assert found[0].body_through > 0
+    assert found[1].self_crossings > 0
+
+
 def test_the_best_drape_settles_with_the_fewest_crossings() -> None:
     [drape] = drape_batch([on_a_ball(4)], device="cpu")
     first, fewer, pierced, fallen = (
