@@ -51,6 +51,8 @@ PARAMETERS: tuple[Leaf, ...] = tuple(
     leaf for leaf in leaves(GarmentDesign, added=True) if leaf.path.partition(".")[0] not in ON_REQUEST
 )
 """The parameters of random designs and of the ``KNOWN`` sections, in the order of a row."""
+UNLEARNED = np.array([leaf.path.partition(".")[0] in KNOWN for leaf in PARAMETERS])
+"""Parameters that no random design changes: what a network says of them is arbitrary."""
 
 
 def encode_design(values: Mapping[str, Any]) -> Float[np.ndarray, " d"]:

@@ -23,7 +23,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
+from benchmarks.reconstruction.design_codes import (
+    PARAMETERS,
+    UNLEARNED,
+    decode_design,
+    encode_design,
+    have_effect,
+    options_of,
+)
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import TensorExamples, mean_of
 from benchmarks.reconstruction.panel_net import NEVER
@@ -209,6 +216,7 @@ class DesignDecoder(nn.Module):
         values = table.low + outputs[..., 0] * table.extent
         values = torch.where((outputs[..., 1] > 0) & table.kept, table.default, values)
         codes = torch.where(table.options > 0, codes, values)
+        codes[:, torch.from_numpy(UNLEARNED)] = torch.nan  # such as a closure in front: never in a training set
         measures = (sizes * self.deviation + self.mean).clamp(self.least, self.most)
         usual = self.mean.double().cpu().numpy()
         return [Answer(*pair, usual) for pair in zip(codes.cpu().numpy(), measures.double().cpu().numpy(), strict=True)]

@@ -37,6 +37,9 @@ $TRAIN --model parameters --task T1 --set augmented=1 --train 40000 --minutes 7 
 $TRAIN --model parameters --task T1 --set augmented=1 labelled=1 --train 40000 --minutes 7 --checks 1 --compile --drape --out runs/T1-labels
 $TRAIN --model parameters --task T1 --set augmented=1 labelled=1 seen=0 --train 40000 --minutes 7 --checks 1 --compile --drape --out runs/T1-labels_regions
 $TRAIN --model parameters --task T1 --set augmented=1 labelled=1 seen=0 points=8192 --train 40000 --minutes 7 --checks 1 --compile --drape --out runs/T1-labels_regions_points
+$TRAIN --model parameters --task T1 --train 40000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 2 --validate 500 --out runs/T1-kept-seed0
+$TRAIN --model parameters --task T1 --train 40000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 2 --validate 500 --seed 1 --out runs/T1-kept-seed1
+$TRAIN --model parameters --task T1 --train 40000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 2 --validate 500 --seed 2 --out runs/T1-kept-seed2
 
 $TRAIN --model nearest --task T1-scan --train 4000 --drape --out runs/scan-reference
 $TRAIN --model parameters --task T1-scan --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/scan
@@ -91,6 +94,7 @@ $TRAIN --model segmentation --task T4 --train 8000 --minutes 6 --checks 1 --out 
 $TRAIN --model mean_measures --task T5 --train 4000 --out runs/T5-reference-mean_measures
 $TRAIN --model measures --task T5 --train 4000 --steps 1000 --checks 1 --out runs/families-T5-all
 $TRAIN --model measures --task T5 --train 4000 --minutes 2 --checks 1 --out runs/T5-4k-measures
+$TRAIN --model measures --task T5 --train 8000 --minutes 3 --checks 2 --validate 500 --compile --out runs/T5-8k
 $TRAIN --model measures --task T5 --train 4000 --leave-out dress --steps 1000 --checks 1 --out runs/families-T5-dress
 $TRAIN --model measures --task T5 --train 4000 --leave-out jumpsuit --steps 1000 --checks 1 --out runs/families-T5-jumpsuit
 $TRAIN --model measures --task T5 --train 4000 --leave-out pants --steps 1000 --checks 1 --out runs/families-T5-pants

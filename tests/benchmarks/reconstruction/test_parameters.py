@@ -115,6 +115,15 @@ def test_upper_and_bottom_are_chosen_among_outfits_that_exist(six: GarmentSet) -
         assert (meta.upper, meta.bottom.value if meta.bottom else "") == (None, "Pants")
 
 
+def test_a_closure_is_never_answered_as_no_random_design_has_one(six: GarmentSet) -> None:
+    """Its rows are not trained: two of three trainings answered closures in front, with bands in three parts."""
+    network = learner().eval()
+    batch = network.prepare(six, device=CPU).batch(torch.arange(6))
+    with torch.no_grad():
+        network.decoder.biases[PATHS.index("front.closure"), 2] = 50.0
+    assert all(decode_design(answer.codes).front == GarmentDesign().front for answer in network._said(batch))
+
+
 def outline(pattern: Pattern) -> np.ndarray:
     """Points on the edges of placed panels, sorted by place [cm]."""
     found = []
