@@ -334,6 +334,7 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
     ones = partial(wp.ones, dtype=int, device=model.device)
     search, counts, crossing = SearchState(), FrameCounts(), CrossingWatch()
     search.x, search.skin, search.listed = wp.clone(start), zeros(n, wp.vec4), zeros(n, int)
+    search.asked = zeros(n, wp.vec4)
     search.moved_far, search.searching, search.any_search = ones(worlds), zeros(worlds, int), zeros(1, int)
     counts.moving, counts.fast, counts.keeper_height = (zeros(worlds, int) for _ in range(3))
     counts.above_floor = zeros(worlds, int)

@@ -299,7 +299,7 @@ class Solver:
             search.find_near_vertices,
             (m.n_vertices, per_vertex),
             [m.worlds, m.cloth, per_vertex, s.search.searching, s.x, s.newest, s.older],
-            [m.cloth.skin_velocity, s.search.x, s.search.skin, s.beside, s.contacts],
+            [m.cloth.skin_velocity, s.search.asked, s.search.x, s.search.skin, s.beside, s.contacts],
         )
         self._sum_work(search.count_near_work, s.search.searching, s.contacts.near_work)
         if self.config.self_contact:

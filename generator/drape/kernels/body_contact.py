@@ -20,6 +20,7 @@ FIELD_ERROR = 0.5  # cm, of the field beside worn cloth
 OUTSIDE_CLOTH = 0.3  # cm: where the field is larger, points lie outside all worn cloth
 DEEPEST = 1.5  # cm: the inside of a long edge that is deeper in a skin that moves is left to its ends
 SAME_PLACE = wp.constant(0.02)  # cm between two places with the same nearest skin
+SLIDE = 0.3  # cm that a vertex slides over a moving skin at most until its plane is found again
 FASTEST = 500.0  # cm/s, of skin that moves: a foot in a brisk walk
 MIDDLE_SHARE = 0.5  # share of ``body_gap`` that the inside of a long edge keeps
 
@@ -69,6 +70,17 @@ def moving_skin(world: World, x: wp.vec3, lag: float, last: wp.vec3):
         if skin[3] <= BAND:
             return skin, velocity, int(world.face_parts[near.face]) & (ON_CLOTH - 1)
     return wp.vec4(0.0, 1.0, 0.0, BAND), wp.vec3(0.0), 0
+
+
+@wp.func
+def is_over_same_skin(x: wp.vec3, velocity: wp.vec3, asked: wp.vec4, lag: float, frame: float) -> bool:
+    """Whether a vertex may keep the plane of a moving skin: it was found in this frame, and the vertex hardly slid.
+
+    ``velocity``: of the skin there [cm/s]. ``asked``: where the vertex was when the plane was found [cm], and ``lag``
+    then [s]. A skin of radius R departs from the plane by SLIDE² / 2 R: 0.02 cm on an arm.
+    """
+    slid = x - wp.vec3(asked[0], asked[1], asked[2]) - (lag - asked[3]) * velocity
+    return asked[3] < lag and lag <= frame and wp.length_sq(slid) <= SLIDE * SLIDE
 
 
 @wp.func

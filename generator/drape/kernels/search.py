@@ -11,6 +11,7 @@ from gcd_dataset.generator.drape.kernels.body_contact import (
     FAR,
     find_inside_planes,
     find_skin,
+    is_over_same_skin,
     moving_skin,
     sample_field,
 )
@@ -123,9 +124,10 @@ def find_near_vertices(
     older: wp.array(dtype=int),
     # state in and out
     velocity: wp.array(dtype=wp.vec3),
-    # state out
+    asked: wp.array(dtype=wp.vec4),
     x_searched: wp.array(dtype=wp.vec3),
     skin: wp.array(dtype=wp.vec4),
+    # state out
     beside: wp.array(dtype=int),
     contacts: Contacts,
 ):
@@ -140,14 +142,19 @@ def find_near_vertices(
     world = worlds[w]
     p = x[i]
     if thread == 0:
+        plane = skin[i]
+        plane[3] += wp.dot(wp.vec3(plane[0], plane[1], plane[2]), p - x_searched[i])
         x_searched[i] = p
+        lag = cloth.skin_lag[w]
         if world.skin == wp.uint64(0):
             velocity[i] = wp.vec3(0.0)
-            skin[i] = find_skin(i, p, sample_field(world, p), -1, world, cloth)
-        else:
-            near, along, part = moving_skin(world, p, cloth.skin_lag[w], velocity[i])
-            skin[i] = find_skin(i, p - cloth.skin_lag[w] * along, near, part, world, cloth)
+            plane = find_skin(i, p, sample_field(world, p), -1, world, cloth)
+        elif not is_over_same_skin(p, velocity[i], asked[i], lag, world.frame):
+            near, along, part = moving_skin(world, p, lag, velocity[i])
+            plane = find_skin(i, p - lag * along, near, part, world, cloth)
             velocity[i] = along
+            asked[i] = wp.vec4(p[0], p[1], p[2], lag)
+        skin[i] = plane
     own = cell_of(p, world.near)
     for neighbour in range(OWN_CELL + thread, 27, threads):
         cell = own + wp.vec3i(neighbour % 3 - 1, (neighbour // 3) % 3 - 1, neighbour // 9 - 1)

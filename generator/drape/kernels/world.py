@@ -124,6 +124,7 @@ class SearchState:
 
     x: wp.array(dtype=wp.vec3)  # (v) positions at the last search [cm]
     skin: wp.array(dtype=wp.vec4)  # (v) the skin at the last search: normal, distance [cm], see ``find_skin``
+    asked: wp.array(dtype=wp.vec4)  # (v) where a moving skin was last found [cm], and its ``skin_lag`` then [s]
     listed: wp.array(dtype=int)  # (v) 1 where the vertex is in any contact list
     moved_far: wp.array(dtype=int)  # (w) 1 where a vertex has moved more than ``World.travel`` since the last search
     searching: wp.array(dtype=int)  # (w) 1 in the worlds of the present search
