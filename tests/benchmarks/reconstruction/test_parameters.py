@@ -116,7 +116,7 @@ def test_upper_and_bottom_are_chosen_among_outfits_that_exist(six: GarmentSet) -
 
 
 def test_a_closure_is_never_answered_as_no_random_design_has_one(six: GarmentSet) -> None:
-    """Its rows are not trained: two of three trainings answered closures in front, with bands in three parts."""
+    """Its rows are not trained: three trainings answered fronts with a zip or buttons, whose bands have three parts."""
     network = learner().eval()
     batch = network.prepare(six, device=CPU).batch(torch.arange(6))
     with torch.no_grad():

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from gcd_dataset.generator.drape.kernels.body_contact import is_over_same_skin
 from gcd_dataset.generator.drape.kernels.elastic import Rows, elastic_force
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_triangle, segment_crosses
 
@@ -24,3 +25,15 @@ def elastic_kernel(rows: Rows, sewn: float, x: wp.array(dtype=wp.vec3), force: w
 def crossing_kernel(points: wp.array2d(dtype=wp.vec3), crosses: wp.array(dtype=wp.bool)):
     i = wp.tid()
     crosses[i] = segment_crosses(points[i, 0], points[i, 1], points[i, 2], points[i, 3], points[i, 4])
+
+
+@wp.kernel
+def same_skin_kernel(
+    x: wp.array(dtype=wp.vec3),
+    velocity: wp.vec3,
+    asked: wp.array(dtype=wp.vec4),
+    lag: float,
+    kept: wp.array(dtype=wp.bool),
+):
+    i = wp.tid()
+    kept[i] = is_over_same_skin(x[i], velocity, asked[i], lag, 0.0125)

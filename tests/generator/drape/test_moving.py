@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import warp as wp
 from jaxtyping import Float
 
 from gcd_dataset.errors import ConfigError
@@ -21,6 +22,7 @@ from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Body, Drape, Outcome, Pose
 from tests.generator.drape.garments import Worn, neutral
+from tests.generator.drape.probes import same_skin_kernel
 from tests.generator.drape.test_drape import SHEET, on_a_ball, on_a_table, table
 
 TEE = design_from_dict({"meta": {"upper": "Shirt"}, "sleeve": {"sleeveless": False, "length": 0.5}})
@@ -64,6 +66,15 @@ def test_a_table_carries_its_cloth(speed: float, way: tuple[float, ...], monkeyp
     assert (x, z) == pytest.approx((0.0, 0.0), abs=0.3)
     assert -0.3 < y < 0.3 + 10.0 * (speed > 100.0)  # fast cloth flies on
     assert slots.solver.body_crossings()[0] == slots.solver.body_through()[0] == 0
+
+
+def test_a_plane_is_kept_while_cloth_rides_with_the_skin_that_it_was_found_on() -> None:
+    """Skin of 3 m/s: cloth with it, cloth that slid by 0.4 cm, cloth that stayed behind; a plane of a past frame."""
+    x = wp.array([[1.5, 0, 0.2], [1.5, 0, 0.4], [0, 0, 0], [-1.5, 0, 0]], dtype=wp.vec3, device="cpu")
+    asked = wp.array([[0, 0, 0, lag] for lag in (0.005, 0.005, 0.005, 0.015)], dtype=wp.vec4, device="cpu")
+    kept = wp.empty(4, dtype=wp.bool, device="cpu")
+    wp.launch(same_skin_kernel, 4, [x, wp.vec3(300.0, 0.0, 0.0), asked, 0.01, kept], device="cpu")
+    assert list(kept.numpy()) == [True, False, False, False]
 
 
 def test_equal_bodies_move_on_their_own() -> None:
