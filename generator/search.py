@@ -6,7 +6,7 @@ nearest of these. Choices, such as the kind of a sleeve, stay those of the propo
 millimetres fold in different ways, and their drapes lie some millimetres apart: so the choices of the first proposal,
 the likeliest, give way to others only for a clearly nearer drape, real parameters that a drape hardly shows stay near
 those proposed, and neighbours that happen to fold as the target does count in the last rounds alone, where they differ
-little.
+little. Steps keep the rules that the proposal keeps, such as that no heavy skirt hangs from a loose waist.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -20,9 +20,10 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.bodies import Wearer
-from gcd_dataset.errors import DrapeError
+from gcd_dataset.errors import DrapeError, PatternError
 from gcd_dataset.generator.drape import drape_batch
 from gcd_dataset.generator.garments import GarmentDesign
+from gcd_dataset.generator.garments.rules import DrawnGarment, check_design
 from gcd_dataset.generator.jacobian import (
     Draped,
     DrapeJacobian,
@@ -227,7 +228,9 @@ class _Search:
             return [start]
         offset = moves_between(self.proposed.get(choices, design), design, names)
         change = dict(zip(names, self.target.change(found, step, offset).tolist(), strict=True))
-        tried = [moved(design, {name: share * by for name, by in change.items()}) for share in SHARES]
+        steps = [moved(design, {name: share * by for name, by in change.items()}) for share in SHARES]
+        usual = _broken(fitting, design)
+        tried = [step for step in steps if _broken(fitting, step) <= usual]
         neighbours = self.compared(found.fitted) if step <= FINE else []
         return [start, *neighbours, *self.draped(tried)]
 
@@ -238,6 +241,14 @@ class _Search:
 
 def _fitting(fittings: tuple[Fitting, Fitting], design: GarmentDesign) -> Fitting:
     return fittings[design.meta.bottom is not None and design.meta.bottom.garment.legs]
+
+
+def _broken(fitting: Fitting, design: GarmentDesign) -> set[str]:
+    """The rules that a design breaks on its wearer: it may slide off another one, who differs by centimetres."""
+    try:
+        return {reject.rule for reject in check_design(DrawnGarment.of(fitting.size, design))}
+    except PatternError as error:
+        return {str(error)}
 
 
 def _worn(fittings: tuple[Fitting, Fitting], part: Sequence[GarmentDesign]) -> list[Worn | None]:

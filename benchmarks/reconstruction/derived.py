@@ -34,6 +34,8 @@ PANEL_NAMES = (
 RINGS = ("bust", "waist", "hips")
 FIT = ("sizes", *RINGS)
 """Sizes from the wearer's to the one that a garment is cut for; ease of the cloth as cut at three rings [cm]."""
+LABELLED = ("meta", "faces", "panel_id", "labels", "seams")
+"""Fields that tell the labels of points."""
 CANDIDATES = 4  # triangles whose distance to a point is measured
 SIDES = {"left": "right", "right": "left", "_l": "_r", "_r": "_l"}
 ROW_OF_NAME = {name: row for row, name in enumerate(PANEL_NAMES)}
@@ -46,8 +48,8 @@ MIRRORED_EDGES = tuple(EDGE_LABELS.index(EdgeRole(name).mirrored if name else ""
 """The label of the mirror image of an edge."""
 
 
-POINT_LABELS = ("box_labels", "draped_labels")
-"""Names of the arrays of labels of surface points: of the box mesh, and of the drape."""
+POINT_LABELS = ("box_labels", "draped_labels", "scan_labels")
+"""Names of the arrays of labels of surface points: of the box mesh, of the drape, and of a scan of it."""
 
 
 @dataclass(frozen=True)
@@ -83,13 +85,13 @@ def _panel_classes(item: Item) -> np.ndarray:
     return np.array([panel_class(name) for name in item["meta"]["panel_names"]], np.int32)
 
 
-def _point_labels(item: Item, vertices: str) -> np.ndarray:
+def _point_labels(item: Item, vertices: str, measured: str = "points") -> np.ndarray:
     """Labels of each point: panel of the nearest triangle; edge label and seam of that triangle's nearest corner.
 
-    ``vertices``: field of their positions, which need not be finite: those of a failed drape may not be.
+    ``vertices``, ``measured``: fields of positions, which need not be finite: those of a failed drape may not be.
     """
     place, points = (
-        np.nan_to_num(item[name].numpy().astype(float), posinf=0.0, neginf=0.0)[:, :3] for name in (vertices, "points")
+        np.nan_to_num(item[name].numpy().astype(float), posinf=0.0, neginf=0.0)[:, :3] for name in (vertices, measured)
     )
     faces, panels = item["faces"].numpy(), _panel_classes(item)[item["panel_id"].numpy()]
     of_vertices = np.zeros((len(place), 2), np.uint8)
@@ -116,8 +118,7 @@ def _nearest_triangles(
 
 
 def _labels_of(vertices: str) -> Derived:
-    needs = ("meta", "points", "faces", "panel_id", "labels", "seams", vertices)
-    return Derived(needs, partial(_point_labels, vertices=vertices))
+    return Derived((*LABELLED, "points", vertices), partial(_point_labels, vertices=vertices))
 
 
 def _panel_names(item: Item) -> np.ndarray:
@@ -181,19 +182,21 @@ DERIVED: Mapping[str, Derived] = {
     "pictures": Derived(VIEW_FIELDS, _pictures),
     "pose": Derived(("meta",), _pose),
     "scan": Derived(VIEW_FIELDS, _scan),
+    "scan_labels": Derived((*VIEW_FIELDS, *LABELLED), partial(_point_labels, vertices="verts", measured="scan")),
     "shown": Derived((*VIEW_FIELDS, "panels"), _shown),
     "turns": Derived(("motion_pose",), _turns),
 }
-"""``box_labels``, ``draped_labels`` (n, 3): labels of each surface point, u8. The first is the class of the panel of
-the nearest triangle, a row of ``PANEL_CLASSES``. The others are those of its nearest corner: the label of the edge, a
-row of ``EDGE_LABELS``, and 1 on a seam. Bands along edges and seams are therefore about as wide as a triangle;
-``design`` (1, d): parameters, as ``encode_design``; ``fit`` (1, 4): ``FIT``, NaN for a ring without cloth;
-``motion`` (v, t, 3): positions in the frames of T8 [cm]; ``turns`` (t, 21, 3): angles of ``BONES`` in them [rad];
-``panel_classes`` (p): rows of ``PANEL_CLASSES``; ``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for others;
-``person`` (n, 7): points of garment and visible body as in the inputs of T5, NaN if no camera sees the garment;
-``pose`` (1, 2): angle of the arms [rad], 1 for legs apart; ``pictures`` (``PICTURES``, h, w, 3): drawn cameras, cloth,
-lights and places, u8 sRGB; ``shown`` (``PICTURES``, h, w): what their pixels show, u8 as ``pixel_labels``;
-``scan`` (``POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured none."""
+"""``box_labels``, ``draped_labels``, ``scan_labels`` (n, 3): labels of each point of a surface or scan, u8. The first
+is the class of the panel of the nearest triangle, a row of ``PANEL_CLASSES``. The others are those of its nearest
+corner: the label of the edge, a row of ``EDGE_LABELS``, and 1 on a seam. Bands along edges and seams are therefore
+about as wide as a triangle; ``design`` (1, d): parameters, as ``encode_design``; ``fit`` (1, 4): ``FIT``, NaN for a
+ring without cloth; ``motion`` (v, t, 3): positions in the frames of T8 [cm]; ``turns`` (t, 21, 3): angles of ``BONES``
+in them [rad]; ``panel_classes`` (p): rows of ``PANEL_CLASSES``; ``panel_names`` (p): rows of ``PANEL_NAMES``, -1 for
+others; ``person`` (n, 7): points of garment and visible body as in the inputs of T5, NaN if no camera sees the
+garment; ``pose`` (1, 2): angle of the arms [rad], 1 for legs apart; ``pictures`` (``PICTURES``, h, w, 3): drawn
+cameras, cloth, lights and places, u8 sRGB; ``shown`` (``PICTURES``, h, w): what their pixels show, u8 as
+``pixel_labels``; ``scan`` (``POINTS``, 6): points that one depth camera measures, and normals [cm], NaN if it measured
+none."""
 
 
 MAPS: tuple[MapName, ...] = ("part", "panel_id")

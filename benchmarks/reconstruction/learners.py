@@ -88,12 +88,6 @@ class Learner(nn.Module, ABC, Generic[Batch, Answer]):
         """Further entries of the report, besides the scores of the answers; by default none."""
         return {}
 
-    def require_fields(self, fields: Sequence[str]) -> None:
-        """Raise ``ConfigError`` if the training needs a field that the garments lack; by default it needs none.
-
-        ``fields``: those of the task besides the fields of every set (``Task.extra``).
-        """
-
     def compile_parts(self) -> None:
         """Compile the parts of the network that gain by it (``nn.Module.compile``). By default none."""
 

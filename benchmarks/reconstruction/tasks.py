@@ -175,7 +175,7 @@ TASKS = {
         ),
         ReconstructionTask(
             "T1-scan", "points that one depth camera measures", "pattern", "combinatorial", DRAPE,
-            points=8192, extra=(*NAMED, "scan"),
+            points=8192, extra=(*NAMED, "scan", "scan_labels"),
         ),
         ReconstructionTask(
             "T2", "pictures of the draped garment", "pattern", "combinatorial", DRAPE,

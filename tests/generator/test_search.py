@@ -11,6 +11,7 @@ from gcd_dataset.generator import Fitting, build_body, measure
 from gcd_dataset.generator.body import neutral_shape
 from gcd_dataset.generator.drape import drape_batch
 from gcd_dataset.generator.garments import design_from_dict
+from gcd_dataset.generator.garments.rules import DrawnGarment, too_heavy
 from gcd_dataset.generator.jacobian import moved
 from gcd_dataset.generator.quality import sample_surface
 from gcd_dataset.generator.search import ScanPoints, Target, gauss_newton, search
@@ -58,6 +59,28 @@ def test_parameters_that_a_scan_does_not_show_go_back_to_the_proposal() -> None:
         return [(change @ shown - 4.0, shown, 1.0)]
 
     assert gauss_newton(rows, 0.1, np.array([0.0, 0.04])) == pytest.approx([0.05, -0.04], abs=0.02)
+
+
+class Wide:
+    """A target that is the nearer, the wider a circle skirt is."""
+
+    def distances(self, drapes: Any, mapped: Any) -> list[float]:
+        return [5 - each.design.flare_skirt.suns for each in drapes]
+
+    def change(self, jacobian: Any, step: float, offset: np.ndarray) -> np.ndarray:
+        return np.array([2 * step * (name == "flare-skirt.suns") for name in jacobian.parameters])
+
+
+def test_a_skirt_does_not_become_too_heavy_for_its_waist() -> None:
+    """On a wearer who is not known to the centimetre, it would slide off."""
+    body = build_body(neutral_shape())
+    size = measure(body)
+    light = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.1, "suns": 0.65}})
+    assert too_heavy(DrawnGarment.of(size, moved(light, {"flare-skirt.suns": 0.12})))
+    options: Any = {"rounds": ((1, 0.06),), "pairs": 4, "resolution": 8.0, "device": "cpu"}
+    found = search(Wide(), [light], lambda _: (body, size), **options).drape.design
+    assert found.flare_skirt.suns > 0.65
+    assert not too_heavy(DrawnGarment.of(size, found))
 
 
 @pytest.mark.parametrize("pictured", [False, True])

@@ -7,7 +7,7 @@ With ``labelled``, each token also predicts the labels of its points in training
 panel, on seams and on labelled edges, as the tokens of pictures do (``picture_model``).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
@@ -32,7 +32,7 @@ from gcd_dataset.workers import parallel_map
 
 TASKS = ("T0", "T1", "T1-scan")
 MOST_GROWTH = 0.1  # share, of the augmentation
-UNLABELLED = "--set labelled=1: the points of these garments have no labels: leave it out, or choose T0 or T1"
+UNLABELLED = "--set labelled=1: the points of these garments have no labels: leave it out"
 PANEL_WEIGHT, BORDER_WEIGHT = 1.0, 4.0
 """Weights of the losses of predicted labels: of panels, and of seams and labelled edges."""
 USUAL: Mapping[str, Any] = {"batch": 256, "lr": 5e-4}
@@ -181,11 +181,6 @@ class ParameterNet(Learner[Designs, Pattern]):
 
     def encoder(self) -> ToDesigns:
         return ToDesigns(self.config.stored_points, bool(self.config.labelled))
-
-    def require_fields(self, fields: Sequence[str]) -> None:
-        """Raise ``ConfigError`` for garments without point labels, if the network learns them."""
-        if self.config.labelled and set(POINT_LABELS).isdisjoint(fields):
-            raise ConfigError(UNLABELLED)
 
     def compile_parts(self) -> None:
         for part in (self.tokens.features, *self.tokens.encoder.layers, *self.decoder.all_layers):

@@ -37,9 +37,11 @@ $TRAIN --model parameters --task T1 --set augmented=1 --train 40000 --minutes 7 
 $TRAIN --model parameters --task T1 --set augmented=1 labelled=1 --train 40000 --minutes 7 --checks 1 --compile --drape --out runs/T1-labels
 $TRAIN --model parameters --task T1 --set augmented=1 labelled=1 seen=0 --train 40000 --minutes 7 --checks 1 --compile --drape --out runs/T1-labels_regions
 $TRAIN --model parameters --task T1 --set augmented=1 labelled=1 seen=0 points=8192 --train 40000 --minutes 7 --checks 1 --compile --drape --out runs/T1-labels_regions_points
-$TRAIN --model parameters --task T1 --train 40000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 2 --validate 500 --out runs/T1-kept-seed0
-$TRAIN --model parameters --task T1 --train 40000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 2 --validate 500 --seed 1 --out runs/T1-kept-seed1
-$TRAIN --model parameters --task T1 --train 40000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 2 --validate 500 --seed 2 --out runs/T1-kept-seed2
+$TRAIN --model parameters --task T1 --train 40000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 2 --validate 500 --out runs/T1-40k-seed0
+$TRAIN --model parameters --task T1 --train 40000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 2 --validate 500 --seed 1 --out runs/T1-40k-seed1
+$TRAIN --model parameters --task T1 --train 40000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 2 --validate 500 --seed 2 --out runs/T1-40k-seed2
+$TRAIN --model parameters --task T1 --train 76150 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 1 --validate 500 --out runs/T1-76k-seed0
+$TRAIN --model parameters --task T1 --train 76150 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 1 --validate 500 --seed 1 --out runs/T1-76k-seed1
 
 $TRAIN --model nearest --task T1-scan --train 4000 --drape --out runs/scan-reference
 $TRAIN --model parameters --task T1-scan --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/scan
