@@ -10,7 +10,7 @@ though patterns and meshes differ: a point of a panel is carried to the other ou
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -181,12 +181,12 @@ def drape_jacobian(
     rng = np.random.default_rng(seed)
     ways = rng.choice([-step, step], (count, len(names))) * rng.uniform(0.5, 1.5, (count, 1))
     places = np.clip(np.concatenate([centre[None], centre + ways, centre - ways]), 0.0, 1.0)
-    designs = [design, *(moved(design, dict(zip(names, by.tolist(), strict=True))) for by in places[1:] - centre)]
-    worn = list(parallel_map(fitting.worn, designs, workers))
+    shifts = [dict(zip(names, by.tolist(), strict=True)) for by in places[1:] - centre]
+    designs, worn = zip(*parallel_map(partial(_near, design, fitting), [{}, *shifts], workers), strict=True)
     if worn[0] is None:
         raise DrapeError("the design cannot be drawn, placed or meshed for this wearer: change one of them")
     alike = [row for row, each in enumerate(worn) if each is not None and _alike(each.pattern, worn[0].pattern)]
-    jobs = [replace(worn[row].job, body=fitting.body, measurements=fitting.size) for row in alike]  # type: ignore[union-attr]
+    jobs = [replace(worn[row].job, body=fitting.body, measurements=fitting.size) for row in alike]
     drapes = drape_batch(jobs, device=device)
     settled = [k for k, drape in enumerate(drapes) if drape.outcome is Outcome.SETTLED]
     if 0 not in settled:
@@ -196,7 +196,7 @@ def drape_jacobian(
             f"{len(settled)} of {len(places)} designs near this one settle, too few for {len(names)} parameters: take "
             "a smaller step, or more pairs"
         )
-    fitted = [Draped(designs[alike[k]], worn[alike[k]], drapes[k]) for k in settled]  # type: ignore[arg-type]
+    fitted = [Draped(designs[alike[k]], worn[alike[k]], drapes[k]) for k in settled]
     parts = [fitted[first : first + CARRIED] for first in range(0, len(fitted), CARRIED)]
     carried = np.array([*chain.from_iterable(parallel_map(partial(_carried, worn[0]), parts, workers))])
     at = places[[alike[k] for k in settled]]
@@ -207,6 +207,11 @@ def drape_jacobian(
     )
     positions = mean + np.tensordot(centre - at.mean(axis=0), derivatives, 1)
     return DrapeJacobian(names, spans, worn[0], drapes[0], positions, derivatives, fitted)
+
+
+def _near(design: GarmentDesign, fitting: Fitting, by: Mapping[str, float]) -> tuple[GarmentDesign, Worn | None]:
+    near = moved(design, by) if by else design
+    return near, fitting.worn(near)
 
 
 def _carried(base: Worn, part: Sequence[Draped]) -> list[Float[np.ndarray, "v 3"]]:
@@ -315,7 +320,8 @@ def _is_same(one: Pattern, other: Pattern) -> bool:
     )
 
 
-def _reals() -> dict[str, Real]:
+@cache
+def _reals() -> Mapping[str, Real]:
     found = ((leaf.path, leaf.space) for leaf in leaves(GarmentDesign, added=True))
     return {path: space for path, space in found if isinstance(space, Real) and space.kind == "float"}
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,20 +71,22 @@ def _reconstruct(options: argparse.Namespace) -> int:
     from gcd_dataset.generator.fitting import garment_name
     from gcd_dataset.generator.recipe import check_resolution
     from gcd_dataset.release.published_names import ENDINGS
-    from gcd_dataset.workers import process_pool
+    from gcd_dataset.workers import parallel_map, process_pool
 
     resolve_device(options.device), check_resolution(options.resolution)
     _require_own_names(options.scan, options.out)
     wearer = wearer_of(argparse.Namespace(**{**vars(options), "body": options.body or "neutral"}))
     wearer(False)  # an error of --body is no error of a scan
     rows, folder = list[dict[str, Any]](), make_folder(options.out)
+    proposals = None if options.body or options.measurements else options.proposals
     with process_pool(options.workers) if options.workers > 1 else nullcontext(1) as pool:
-        for scan in tqdm(options.scan, unit="scan", disable=options.quiet):
+        shapes = parallel_map(partial(_proposed_shape, proposals), options.scan, pool)  # while others are searched
+        for scan, shape in zip(tqdm(options.scan, unit="scan", disable=options.quiet), shapes, strict=True):
             row: dict[str, Any] = {"error": "stopped before its design was found"}
             for ending in (ENDINGS["spec"], DESIGNS[1:]):  # an answer of an earlier run
                 (folder / f"{garment_name(scan)}{ending}").unlink(missing_ok=True)
             try:
-                row = _reconstruct_one(scan, options, wearer, pool)
+                row = _reconstruct_one(scan, options, wearer, shape, pool)
                 apart = (
                     "{mean_cm:.2f} cm on average, 95 % within {p95_cm:.2f} cm" if "mean_cm" in row else "IoU {iou:.3f}"
                 )
@@ -112,8 +115,27 @@ def _require_own_names(scans: Sequence[Path], out: Path) -> None:
             raise ConfigError(f"{scan}: lies in --out {out}, where files have its name: give another folder")
 
 
-def _reconstruct_one(scan: Path, options: argparse.Namespace, wearer: "Wearer", pool: Any) -> dict[str, Any]:
-    """Find the design of a scan and write it; the row of the report. Raises ``GcdError``."""
+def _proposed_shape(proposals: Path | None, scan: Path) -> "BodyShape | GcdError | None":
+    """The body of the measures that are proposed for a scan; ``None`` without."""
+    from gcd_dataset.bodyfiles import read_measurements
+    from gcd_dataset.generator.body import fit_shape
+
+    measures = sorted((proposals / scan.stem).glob(MEASURES)) if proposals else []
+    try:
+        return fit_shape(read_measurements(measures[0])).shape if measures else None
+    except BodyError as error:
+        return BodyError(f"{measures[0]}: {error}")
+    except GcdError as error:
+        return error
+
+
+def _reconstruct_one(
+    scan: Path, options: argparse.Namespace, wearer: "Wearer", proposed: "BodyShape | GcdError | None", pool: Any
+) -> dict[str, Any]:
+    """Find the design of a scan and write it; the row of the report. Raises ``GcdError``.
+
+    ``wearer``: without the ``proposed`` one.
+    """
     from gcd_dataset.files import write_whole
     from gcd_dataset.generator.drawing import png_bytes
     from gcd_dataset.generator.fitting import (
@@ -135,7 +157,7 @@ def _reconstruct_one(scan: Path, options: argparse.Namespace, wearer: "Wearer", 
         if scan.is_dir()
         else ScanPoints.of(read_points(scan, POINTS), partial=options.partial)
     )
-    designs, wearer, shape = _proposed(scan, options, wearer)
+    designs, wearer, shape = _proposed(scan, options, wearer, proposed)
     found = search(
         target, designs, wearer, ranked=options.proposals is not None,
         rounds=ROUNDS[: options.rounds], resolution=options.resolution, device=options.device, workers=pool,
@@ -164,14 +186,10 @@ def _reconstruct_one(scan: Path, options: argparse.Namespace, wearer: "Wearer", 
 
 
 def _proposed(
-    scan: Path, options: argparse.Namespace, wearer: "Wearer"
+    scan: Path, options: argparse.Namespace, wearer: "Wearer", proposed: "BodyShape | GcdError | None"
 ) -> "tuple[Iterator[GarmentDesign], Wearer, BodyShape | None]":
-    """Designs to begin with, the wearer, and its shape, ``None`` for a mesh. Raises ``GcdError``.
-
-    ``wearer``: if no measures are proposed, or a body or its measures are given.
-    """
-    from gcd_dataset.bodyfiles import read_measurements
-    from gcd_dataset.generator.body import build_body, fit_shape, measure
+    """Designs to begin with, the wearer, and its shape, ``None`` for a mesh. Raises ``GcdError``."""
+    from gcd_dataset.generator.body import build_body, measure
     from gcd_dataset.generator.body.by_name import shape_by_name
     from gcd_dataset.generator.garments import read_design
     from gcd_dataset.generator.garments.sampling import attempted_design
@@ -180,13 +198,11 @@ def _proposed(
     files = sorted(folder.glob(DESIGNS)) if folder else []
     if folder and not files:
         raise ConfigError(f"{folder}: no {DESIGNS}: propose designs for {scan}, or leave --proposals out")
-    measures = sorted(folder.glob(MEASURES)) if folder and not (options.body or options.measurements) else []
     shape = shape_by_name(options.body or "neutral", legs_apart=False)
-    if measures:
-        try:
-            shape = fit_shape(read_measurements(measures[0])).shape
-        except BodyError as error:
-            raise BodyError(f"{measures[0]}: {error}") from error
+    if isinstance(proposed, GcdError):
+        raise proposed
+    if proposed is not None:
+        shape = proposed
         bodies = [build_body(replace(shape, legs_apart=apart)) for apart in (False, True)]
         fitted = measure(bodies[False])
         wearer = lambda legs_apart: (bodies[legs_apart], fitted)  # noqa: E731

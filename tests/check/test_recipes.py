@@ -77,6 +77,7 @@ def test_patterns_of_a_recipe_with_maps_and_views_are_made_without_draping(tmp_p
     assert PatternHash.of(made_patterns(rich, [0])).text == PatternHash.of(made_patterns(plain, [0])).text
 
 
+@pytest.mark.long
 def test_outfits_that_differ_in_an_outer_garment_are_reported(tmp_path: Path) -> None:
     """The outfits of two recipes have the same innermost garments; the patterns of all are those that were made."""
     hashes = []

@@ -138,6 +138,7 @@ def test_an_outfit_lies_in_order_and_each_garment_draws_for_itself(alone: Sample
     assert len(lengths) == 2
 
 
+@pytest.mark.long
 def test_workers_make_the_same_outfits_and_shards_give_them_back(
     alone: Sample, config: MakeConfig, tmp_path: Path
 ) -> None:

@@ -71,6 +71,7 @@ class Wide:
         return np.array([2 * step * (name == "flare-skirt.suns") for name in jacobian.parameters])
 
 
+@pytest.mark.long
 def test_a_skirt_does_not_become_too_heavy_for_its_waist() -> None:
     """On a wearer who is not known to the centimetre, it would slide off."""
     body = build_body(neutral_shape())
@@ -83,7 +84,7 @@ def test_a_skirt_does_not_become_too_heavy_for_its_waist() -> None:
     assert not too_heavy(DrawnGarment.of(size, found))
 
 
-@pytest.mark.parametrize("pictured", [False, True])
+@pytest.mark.parametrize("pictured", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_the_length_of_a_skirt_is_found_from_its_drape(pictured: bool, tmp_path: Path) -> None:
     """From points of it, or its silhouettes in two pictures. One of two proposals is another skirt, one is too long."""
     body = build_body(neutral_shape())

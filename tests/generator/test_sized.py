@@ -226,6 +226,7 @@ def test_misfits_are_no_failed_drapes() -> None:
         assert (made_to_measure is None) == (outcome is Outcome.SETTLED)
 
 
+@pytest.mark.long
 def test_workers_change_no_byte_where_some_wearers_can_put_on_a_design() -> None:
     config = replace(MISFIT, bodies_each=2, captions=True, views=1, view_size=32)
     alone, shared = (list(produce(4, range(3), config, finished=encode_sample, workers=n)) for n in (0, 2))

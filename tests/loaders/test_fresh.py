@@ -222,6 +222,7 @@ def test_an_item_is_freed_after_its_last_use() -> None:
     assert len(tensors) == 16
 
 
+@pytest.mark.long
 def test_one_worker_makes_a_design_for_all_its_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
     """For any number of workers: else one worker would make the neutral bodies and another the random ones."""
     designs = multiprocessing.Value("i", 0)

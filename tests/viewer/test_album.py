@@ -149,6 +149,7 @@ def test_a_picture_is_the_stored_front_or_the_drape_rendered_or_the_pattern(tmp_
     assert np.abs(rendered.astype(int) - front).mean() < 1
 
 
+@pytest.mark.long
 def test_maps_colour_the_cloth_alone_and_alike_where_nothing_stretches_or_presses_it(tmp_path: Path) -> None:
     """Cloth 20 cm from the skin, as cut and without pressure: green in the picture of gaps, pale in the others."""
     made = make(3, 0, MakeConfig(bodies="neutral", stage="mesh", resolution=8.0, design=SHORT))

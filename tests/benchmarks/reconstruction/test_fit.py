@@ -49,6 +49,7 @@ def painted(six: GarmentSet) -> GarmentSet:
     return replace(six, ragged={**six.ragged, **{name: Ragged.of(rows) for name, rows in ragged.items()}})
 
 
+@pytest.mark.long
 def test_the_network_learns_size_and_ease(painted: GarmentSet) -> None:
     """Rings without cloth teach nothing, and an answer has a number for each ring."""
     torch.manual_seed(0)

@@ -218,6 +218,7 @@ def test_the_test_set_depends_neither_on_the_task_nor_on_the_size() -> None:
     assert not np.isin(pattern.test.bodies, pattern.train.bodies).any()
 
 
+@pytest.mark.long
 def test_the_validation_set_has_enough_trousers_jumpsuits_and_hoods(monkeypatch: pytest.MonkeyPatch) -> None:
     """500 garments as sampled, and 60 and more of each kind; none is trained or tested on."""
     counts = [count for _, count, _ in tasks.VALIDATION]

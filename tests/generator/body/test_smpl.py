@@ -167,6 +167,7 @@ def test_the_root_turns_the_whole_and_an_elbow_its_forearm(tmp_path: Path) -> No
         assert np.linalg.norm(moved[ends[1]] - before[ends[1]]) > 0.1
 
 
+@pytest.mark.long
 def test_a_model_file_is_a_body_in_the_a_pose(model_file: Path, own: Body) -> None:
     """Its measures are those of the same body in our rig; linear blending moves the shoulders' skin somewhat."""
     body, size, shape = named_body(f"smplx:{model_file}")

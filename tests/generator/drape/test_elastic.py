@@ -107,7 +107,7 @@ def test_force_is_the_negative_gradient_of_the_energy(fabric: Fabric) -> None:
 
 
 @fabrics
-@pytest.mark.parametrize("sheets", [3, 5])
+@pytest.mark.parametrize("sheets", [3, pytest.param(5, marks=pytest.mark.long)])
 def test_sheets_sewn_along_one_edge_follow_their_energy(sheets: int, fabric: Fabric) -> None:
     """The first two faces of an edge form its hinge; all add to its spring. A vertex has more faces than edges."""
     rng = np.random.default_rng(6)
