@@ -1,4 +1,4 @@
-"""Box meshes with their bodies and drapes, as batches on a device (task T6)."""
+"""Box meshes or coarse drapes with their bodies and drapes, as batches on a device (task T6)."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -9,15 +9,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from benchmarks.reconstruction.derived import CENTRE, MIRRORED_EDGES
+from benchmarks.reconstruction.drapes import DrapedVertices, redraped
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.surfaces import (
-    METRE,
-    SurfaceArrays,
-    SurfaceBatch,
-    SurfaceStore,
-    drawn_turn,
-    surface_of,
-)
+from benchmarks.reconstruction.surfaces import METRE, SurfaceArrays, SurfaceBatch, SurfaceStore, drawn_turn, surface_of
 from benchmarks.reconstruction.wearers import body_points
 from gcd_dataset.tensors import EDGE_LABELS, PANEL_LABELS, PanelColumn
 from gcd_dataset.workers import parallel_map
@@ -27,7 +21,7 @@ GIVEN = len(EDGE_LABELS) + len(PANEL_LABELS) + 1  # numbers of a vertex: edge la
 
 @dataclass(frozen=True)
 class DrapeBatch:
-    """Box meshes with their bodies and drapes."""
+    """Box meshes, or coarse drapes, with their bodies and drapes."""
 
     surface: SurfaceBatch
     given: Float[Tensor, "v g"]
@@ -36,13 +30,24 @@ class DrapeBatch:
     """Points of the skin [m] and normals, spread evenly: any first part is, too."""
     draped: Float[Tensor, "v 3"]
     """[m]"""
+    ms: Float[Tensor, " b"]
+    """Time of each coarse drape [ms], or 0."""
 
 
 class DrapedSurfaces:
-    """Box meshes, bodies and drapes on a device; batches are turned and mirrored at random."""
+    """Box meshes, bodies and drapes on a device; batches are turned and mirrored at random.
 
-    def __init__(self, garments: GarmentSet, *, tokens: int, body: int, device: torch.device, workers: int = 0) -> None:
-        meshes = (mesh_of(garments, k, garments.ragged["box"][k]) for k in range(len(garments)))
+    ``coarse``: edges of a drape [cm] that takes the place of the box mesh; 0: none.
+    """
+
+    def __init__(
+        self, garments: GarmentSet, *, tokens: int, body: int, coarse: int, device: torch.device, workers: int = 0
+    ) -> None:
+        begun = [DrapedVertices(garments.ragged["box"][k], 0.0) for k in range(len(garments))]
+        if coarse:
+            begun = redraped(garments, spacing=float(coarse), device=device, workers=workers)
+        self._ms = torch.tensor([one.ms for one in begun], device=device)
+        meshes = (mesh_of(garments, k, one.vertices) for k, one in enumerate(begun))
         surfaces = list(parallel_map(partial(prepared, tokens), meshes, workers))
         self.store = SurfaceStore(surfaces, tokens=tokens, device=device)
         labels = np.concatenate([labels_of(garments, k) for k in range(len(garments))])
@@ -57,9 +62,8 @@ class DrapedSurfaces:
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> DrapeBatch:
         """The garments ``rows``."""
         surface, chosen = self.store.batch(rows)
-        batch = DrapeBatch(
-            surface, self._given[chosen].float(), self._body[rows.to(chosen.device)], self._draped[chosen]
-        )
+        own = rows.to(chosen.device)
+        batch = DrapeBatch(surface, self._given[chosen].float(), self._body[own], self._draped[chosen], self._ms[own])
         if chance is None:
             return batch
         turn = drawn_turn(rows, len(self), chance, chosen.device, growth=0.0, jitter=0.0)
@@ -69,7 +73,7 @@ class DrapedSurfaces:
         given[:, : len(EDGE_LABELS)] = torch.where(swapped, labels[:, MIRRORED_EDGES], labels)
         body = torch.cat([part @ turn.matrices.transpose(1, 2) for part in torch.split(batch.body, 3, dim=-1)], dim=-1)
         draped = (turn.matrices[surface.garments] @ batch.draped[..., None])[..., 0]
-        return DrapeBatch(turn.of(surface), given, body, draped)
+        return DrapeBatch(turn.of(surface), given, body, draped, batch.ms)
 
 
 def mesh_of(garments: GarmentSet, k: int, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import shapely
@@ -22,6 +23,7 @@ from gcd_dataset.metrics import DrapeScore, score_drape, score_motion
 from gcd_dataset.records import BoxMesh
 from gcd_dataset.scoring.draping import crossings_of, motion_crossings
 from gcd_dataset.scoring.inputs import poses_of
+from gcd_dataset.workers import parallel_map
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,29 +99,36 @@ def counted(
 # ------------------------------------------------------------------------------------------------------- the own solver
 
 
-def redraped(garments: GarmentSet, *, spacing: float, device: torch.device) -> list[DrapedVertices]:
+def redraped(garments: GarmentSet, *, spacing: float, device: torch.device, workers: int = 0) -> list[DrapedVertices]:
     """The garments draped by our solver at ``spacing`` [cm], interpolated in the panels' planes to their own meshes.
 
     The time is that of the drape and the interpolation. A garment that cannot be meshed keeps its box mesh.
     """
-    meshes = [_meshed(garments, k, spacing) for k in range(len(garments))]
-    jobs = []
-    for k, mesh in enumerate(meshes):
-        body, coarse = wearer_of(garments, k), coarse_start(mesh)
-        start = sewing_start(coarse.mesh if coarse else mesh, body)
-        jobs.append(DrapeJob(mesh, body, measurements_of(garments, k), coarse=coarse, start=start))
+    bare = garments.without_points()
+    each = [bare.select([k]) for k in range(len(bare))]
+    jobs = list(parallel_map(partial(_job, spacing), each, workers))
     drape_batch(jobs[:1], device=str(device))  # loads the kernels
     begun = time.perf_counter()
     drapes = drape_batch(jobs, device=str(device))
     ms = 1e3 * (time.perf_counter() - begun) / len(jobs)
-    found = []
-    for k, (mesh, drape) in enumerate(zip(meshes, drapes, strict=True)):
-        begun = time.perf_counter()
-        vertices = transferred(drape.vertices, mesh, garments, k)
-        lost = ~np.isfinite(vertices)
-        vertices[lost] = garments.ragged["box"][k][lost]
-        found.append(DrapedVertices(vertices, ms + 1e3 * (time.perf_counter() - begun)))
-    return found
+    tasks = zip(each, (job.box_mesh for job in jobs), (drape.vertices for drape in drapes), strict=True)
+    return list(parallel_map(partial(_interpolated, ms), tasks, workers))
+
+
+def _job(spacing: float, garment: GarmentSet) -> DrapeJob:
+    mesh, body = _meshed(garment, 0, spacing), wearer_of(garment, 0)
+    coarse = coarse_start(mesh)
+    start = sewing_start(coarse.mesh if coarse else mesh, body)
+    return DrapeJob(mesh, body, measurements_of(garment, 0), coarse=coarse, start=start)
+
+
+def _interpolated(ms: float, draped: tuple[GarmentSet, BoxMesh, np.ndarray]) -> DrapedVertices:
+    garment, mesh, places = draped
+    begun = time.perf_counter()
+    vertices = transferred(places, mesh, garment, 0)
+    lost = ~np.isfinite(vertices)
+    vertices[lost] = garment.ragged["box"][0][lost]
+    return DrapedVertices(vertices, ms + 1e3 * (time.perf_counter() - begun))
 
 
 def _meshed(garments: GarmentSet, k: int, spacing: float) -> BoxMesh:

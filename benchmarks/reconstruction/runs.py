@@ -76,7 +76,7 @@ def require_usable(config: Config, task: ReconstructionTask, model: Any, learner
         raise ConfigError(f"{task.name} has no patterns or no bodies to drape: leave out --drape")
     if learner is None and (config.sizes or config.fresh or config.weights):
         raise ConfigError(f"{config.model} has no network and no training: leave out --set, --fresh and --weights")
-    if config.fresh and learner and (learner.encoder() is None or config.source or config.leave_out):
+    if config.fresh and learner is not None and (learner.encoder() is None or config.source or config.leave_out):
         raise ConfigError("--fresh: needs a model that encodes garments, no --source, and no --leave-out")
 
 

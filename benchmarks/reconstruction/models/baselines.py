@@ -114,12 +114,12 @@ def coarse_drape(
     known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0
 ) -> list[DrapedVertices]:
     """Each unseen garment draped by our solver at 3 cm, interpolated to its mesh."""
-    return redraped(unseen, spacing=COARSE, device=device)
+    return redraped(unseen, spacing=COARSE, device=device, workers=workers)
 
 
 def solver(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0) -> list[DrapedVertices]:
     """Each unseen garment draped again at its resolution: the error that another machine's rounding makes."""
-    return redraped(unseen, spacing=float(unseen.recipe["recipe"]["resolution"]), device=device)
+    return redraped(unseen, spacing=float(unseen.recipe["recipe"]["resolution"]), device=device, workers=workers)
 
 
 def frozen(known: GarmentSet, unseen: GarmentSet, *, device: torch.device, workers: int = 0) -> list[DrapedVertices]:

@@ -2,7 +2,8 @@
 
 The first network sees the box mesh, the flat lengths of its edges, the labels of edges and panels, and the body as
 tokens; the second sees the garment where the first has put it, beside the nearest points of the body. Each moves all
-vertices.
+vertices. With ``--set coarse=3``, they begin with a drape of 3 cm by our solver in place of the box mesh, and an answer
+takes the time of both.
 """
 
 import time
@@ -21,10 +22,7 @@ from benchmarks.reconstruction.drapes import DrapedVertices
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner, sizes_from, squared_distances
 from benchmarks.reconstruction.surface_net import FREQUENCIES, SurfaceNet, SurfaceNetConfig, mlp, of_neighbours, waves
-from benchmarks.reconstruction.surfaces import (
-    METRE,
-    SurfaceBatch,
-)
+from benchmarks.reconstruction.surfaces import METRE, SurfaceBatch
 
 TASKS = ("T6",)
 WEIGHTS = {"first": 0.5, "positions": 1.0, "edges": 0.3, "body": 0.5}
@@ -54,12 +52,13 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
         body: int = 2048,
         body_tokens: int = 256,
         second_rounds: int = 1,
+        coarse: int = 0,
     ) -> None:
         """``body``: points of the body; ``body_tokens``: points that are tokens; ``second_rounds``: of the second
-        network.
+        network; ``coarse``: see ``DrapedSurfaces``.
         """
         super().__init__()
-        self.config = config or SurfaceNetConfig()
+        self.config, self.coarse = config or SurfaceNetConfig(), coarse
         self.body_points, self.body_tokens = body, body_tokens
         width = self.config.width
         self.body = nn.Sequential(*mlp(6 + 6 * FREQUENCIES, self.config.token_width, self.config.token_width))
@@ -74,10 +73,9 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
         self._is_warm = False
 
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> "DrapedSurfaces":
-        """The box meshes with clusters, the bodies, and the drapes."""
-        return DrapedSurfaces(
-            garments, tokens=self.config.tokens, body=self.body_points, device=device, workers=workers
-        )
+        """The box meshes or coarse drapes with clusters, the bodies, and the drapes."""
+        sizes = {"tokens": self.config.tokens, "body": self.body_points, "coarse": self.coarse}
+        return DrapedSurfaces(garments, **sizes, device=device, workers=workers)
 
     def compile_parts(self) -> None:
         for net in (self.first, self.second):
@@ -116,7 +114,8 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
         vertices = found.double().cpu().numpy() * METRE + CENTRE
         counts = batch.surface.counts.tolist()
         parts = np.split(vertices, np.cumsum(counts)[:-1])
-        return [DrapedVertices(part, 1e3 * seconds / len(counts)) for part in parts]
+        own = (batch.ms + 1e3 * seconds / len(counts)).tolist()
+        return [DrapedVertices(part, ms) for part, ms in zip(parts, own, strict=True)]
 
     def _moved(self, batch: DrapeBatch) -> tuple[Float[Tensor, "v 3"], Float[Tensor, "v 3"]]:
         """Positions after each network [m]."""
@@ -136,12 +135,9 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
 
 
 def build(config: Mapping[str, Any]) -> DrapeSurrogate:
-    """The learner; ``config``: fields of ``SurfaceNetConfig``, ``body``, ``body_tokens`` and ``second_rounds``.
-
-    Raises ``ConfigError`` for others.
-    """
-    own = ("body", "body_tokens", "second_rounds")
-    least = {"convolutions": 0, "layers": 0, "body_tokens": 0}
+    """The learner; ``config``: fields of ``SurfaceNetConfig``, and ``own``. Raises ``ConfigError`` for others."""
+    own = ("body", "body_tokens", "second_rounds", "coarse")
+    least = {"convolutions": 0, "layers": 0, "body_tokens": 0, "coarse": 0}
     sizes, arguments = sizes_from("drape_surrogate", SurfaceNetConfig, config, own=own, least=least)
     return DrapeSurrogate(sizes, **arguments)
 

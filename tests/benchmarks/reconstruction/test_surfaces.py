@@ -7,11 +7,7 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.derived import MIRRORED
-from benchmarks.reconstruction.drapes import (
-    DrapedVertices,
-    counted,
-    score_drapes,
-)
+from benchmarks.reconstruction.drapes import DrapedVertices, counted, redraped, score_drapes
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
 from benchmarks.reconstruction.labelled_surfaces import true_labels
 from benchmarks.reconstruction.models.baselines import box_mesh, solver
@@ -283,6 +279,15 @@ def test_the_solver_drapes_a_garment_as_before(draped: GarmentSet) -> None:
     (unmoved,) = score_drapes(box_mesh(one, one, device=CPU), one, crossings=False)
     assert score.error_cm < 2 < unmoved.error_cm
     assert score.ms > 0
+
+
+def test_a_network_on_coarse_drapes_begins_with_them(draped: GarmentSet) -> None:
+    one = draped.select([0])
+    network = build_surrogate({**SMALL_SURROGATE, "coarse": 8}).eval()
+    [answer] = network.predict(network.prepare(one, device=CPU).batch(torch.arange(1)))
+    [coarse] = redraped(one, spacing=8.0, device=CPU)
+    assert np.abs(answer.vertices - coarse.vertices).max() < 1e-3
+    assert answer.ms > 0.5 * coarse.ms
 
 
 def test_depth_is_measured_below_the_skin(draped: GarmentSet) -> None:
