@@ -6,7 +6,8 @@ nearest of these. Choices, such as the kind of a sleeve, stay those of the propo
 millimetres fold in different ways, and their drapes lie some millimetres apart: so the choices of the first proposal,
 the likeliest, give way to others only for a clearly nearer drape, real parameters that a drape hardly shows stay near
 those proposed, and neighbours that happen to fold as the target does count in the last rounds alone, where they differ
-little. Steps keep the rules that the proposal keeps, such as that no heavy skirt hangs from a loose waist.
+little. A step keeps the rules of the sampler that its start keeps, such as that no heavy skirt hangs from a loose
+waist: on the true wearer, who may differ by centimetres, it would slide off.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -229,8 +230,8 @@ class _Search:
         offset = moves_between(self.proposed.get(choices, design), design, names)
         change = dict(zip(names, self.target.change(found, step, offset).tolist(), strict=True))
         steps = [moved(design, {name: share * by for name, by in change.items()}) for share in SHARES]
-        usual = _broken(fitting, design)
-        tried = [step for step in steps if _broken(fitting, step) <= usual]
+        broken = _broken(fitting, design)
+        tried = [each for each in steps if _broken(fitting, each) <= broken]
         neighbours = self.compared(found.fitted) if step <= FINE else []
         return [start, *neighbours, *self.draped(tried)]
 
@@ -244,7 +245,7 @@ def _fitting(fittings: tuple[Fitting, Fitting], design: GarmentDesign) -> Fittin
 
 
 def _broken(fitting: Fitting, design: GarmentDesign) -> set[str]:
-    """The rules that a design breaks on its wearer: it may slide off another one, who differs by centimetres."""
+    """The rules of the sampler that a design breaks on its wearer."""
     try:
         return {reject.rule for reject in check_design(DrawnGarment.of(fitting.size, design))}
     except PatternError as error:

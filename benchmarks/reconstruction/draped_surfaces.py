@@ -43,9 +43,10 @@ class DrapedSurfaces:
     def __init__(
         self, garments: GarmentSet, *, tokens: int, body: int, coarse: int, device: torch.device, workers: int = 0
     ) -> None:
-        begun = [DrapedVertices(garments.ragged["box"][k], 0.0) for k in range(len(garments))]
         if coarse:
             begun = redraped(garments, spacing=float(coarse), device=device, workers=workers)
+        else:
+            begun = [DrapedVertices(garments.ragged["box"][k], 0.0) for k in range(len(garments))]
         self._ms = torch.tensor([one.ms for one in begun], device=device)
         meshes = (mesh_of(garments, k, one.vertices) for k, one in enumerate(begun))
         surfaces = list(parallel_map(partial(prepared, tokens), meshes, workers))

@@ -105,13 +105,13 @@ def redraped(garments: GarmentSet, *, spacing: float, device: torch.device, work
     The time is that of the drape and the interpolation. A garment that cannot be meshed keeps its box mesh.
     """
     bare = garments.without_points()
-    each = [bare.select([k]) for k in range(len(bare))]
-    jobs = list(parallel_map(partial(_job, spacing), each, workers))
+    alone = [bare.select([k]) for k in range(len(bare))]
+    jobs = list(parallel_map(partial(_job, spacing), alone, workers))
     drape_batch(jobs[:1], device=str(device))  # loads the kernels
     begun = time.perf_counter()
     drapes = drape_batch(jobs, device=str(device))
     ms = 1e3 * (time.perf_counter() - begun) / len(jobs)
-    tasks = zip(each, (job.box_mesh for job in jobs), (drape.vertices for drape in drapes), strict=True)
+    tasks = zip(alone, (job.box_mesh for job in jobs), (drape.vertices for drape in drapes), strict=True)
     return list(parallel_map(partial(_interpolated, ms), tasks, workers))
 
 

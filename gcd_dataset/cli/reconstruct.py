@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 POINTS = 8192  # of a scan
 DRAWN = 256  # random designs, where none are proposed
+UNFITTED = GcdError("its wearer was not fitted, since a worker was killed: repeat the command")
 DESIGNS, MEASURES = "*_design_params.yaml", "*_measurements.yaml"
 
 
@@ -81,12 +82,12 @@ def _reconstruct(options: argparse.Namespace) -> int:
     proposals = None if options.body or options.measurements else options.proposals
     with process_pool(options.workers) if options.workers > 1 else nullcontext(1) as pool:
         shapes = parallel_map(partial(_proposed_shape, proposals), options.scan, pool)  # while others are searched
-        for scan, shape in zip(tqdm(options.scan, unit="scan", disable=options.quiet), shapes, strict=True):
+        for scan in tqdm(options.scan, unit="scan", disable=options.quiet):
             row: dict[str, Any] = {"error": "stopped before its design was found"}
             for ending in (ENDINGS["spec"], DESIGNS[1:]):  # an answer of an earlier run
                 (folder / f"{garment_name(scan)}{ending}").unlink(missing_ok=True)
             try:
-                row = _reconstruct_one(scan, options, wearer, shape, pool)
+                row = _reconstruct_one(scan, options, wearer, next(shapes, UNFITTED), pool)
                 apart = (
                     "{mean_cm:.2f} cm on average, 95 % within {p95_cm:.2f} cm" if "mean_cm" in row else "IoU {iou:.3f}"
                 )
@@ -134,7 +135,7 @@ def _reconstruct_one(
 ) -> dict[str, Any]:
     """Find the design of a scan and write it; the row of the report. Raises ``GcdError``.
 
-    ``wearer``: without the ``proposed`` one.
+    ``wearer``: if none is ``proposed``.
     """
     from gcd_dataset.files import write_whole
     from gcd_dataset.generator.drawing import png_bytes

@@ -114,8 +114,8 @@ class DrapeSurrogate(Learner[DrapeBatch, DrapedVertices]):
         vertices = found.double().cpu().numpy() * METRE + CENTRE
         counts = batch.surface.counts.tolist()
         parts = np.split(vertices, np.cumsum(counts)[:-1])
-        own = (batch.ms + 1e3 * seconds / len(counts)).tolist()
-        return [DrapedVertices(part, ms) for part, ms in zip(parts, own, strict=True)]
+        times = (batch.ms + 1e3 * seconds / len(counts)).tolist()
+        return [DrapedVertices(part, ms) for part, ms in zip(parts, times, strict=True)]
 
     def _moved(self, batch: DrapeBatch) -> tuple[Float[Tensor, "v 3"], Float[Tensor, "v 3"]]:
         """Positions after each network [m]."""

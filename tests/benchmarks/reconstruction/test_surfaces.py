@@ -284,10 +284,11 @@ def test_the_solver_drapes_a_garment_as_before(draped: GarmentSet) -> None:
 def test_a_network_on_coarse_drapes_begins_with_them(draped: GarmentSet) -> None:
     one = draped.select([0])
     network = build_surrogate({**SMALL_SURROGATE, "coarse": 8}).eval()
-    [answer] = network.predict(network.prepare(one, device=CPU).batch(torch.arange(1)))
+    batch = network.prepare(one, device=CPU).batch(torch.arange(1))
+    [answer] = network.predict(batch)
     [coarse] = redraped(one, spacing=8.0, device=CPU)
     assert np.abs(answer.vertices - coarse.vertices).max() < 1e-3
-    assert answer.ms > 0.5 * coarse.ms
+    assert answer.ms > batch.ms.item() > 0  # the network's time is added
 
 
 def test_depth_is_measured_below_the_skin(draped: GarmentSet) -> None:
