@@ -85,7 +85,9 @@ class _Drawn:
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Scans:
         found = self.whole.batch(rows)
-        if chance is None or not self.augmented:
+        if chance is None:
+            return found
+        if not self.augmented:
             return Scans(found.points[:, : self.points], found.measures)
         device = found.points.device
         chosen = uploaded(torch.randperm(found.points.shape[1], generator=chance)[: self.points], device)
@@ -131,13 +133,16 @@ class MeasureNet(Learner[Scans, np.ndarray]):
         return _Drawn(whole, self.config.points, bool(self.config.augmented))
 
     def loss(self, batch: Scans) -> dict[str, Tensor]:
-        said = self._standard(batch.points).float()
+        said = self._standard(batch.points[:, : self.config.points]).float()
         return {"measures": (said - (batch.measures - self.mean) / self.deviation).abs().mean()}
 
     def predict(self, batch: Scans) -> list[np.ndarray]:
+        """The mean of the answers to each ``points`` of a scan."""
+        parts = batch.points.split(self.config.points, dim=1)
+        whole = [part for part in parts if part.shape[1] == parts[0].shape[1]]
         with torch.no_grad():
-            said = self._standard(batch.points).float() * self.deviation + self.mean
-        return list(said.double().cpu().numpy())
+            said = torch.stack([self._standard(part).float() for part in whole]).mean(dim=0)
+        return list((said * self.deviation + self.mean).double().cpu().numpy())
 
     def compile_parts(self) -> None:
         self.layers.compile()

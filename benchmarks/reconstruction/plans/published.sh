@@ -46,6 +46,7 @@ $TRAIN --model parameters --task T1 --train 76150 --set width=240 heads=6 layers
 $TRAIN --model nearest --task T1-scan --train 4000 --drape --out runs/scan-reference
 $TRAIN --model parameters --task T1-scan --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/scan
 $TRAIN --model parameters --task T1-scan --set width=256 heads=4 layers=4 augmented=1 seen=0 --train 12000 --minutes 6 --checks 2 --validate 500 --compile --out runs/scan-12k
+$TRAIN --model parameters --task T1-scan --train 20000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --weights benchmarks/reconstruction/weights/T1.pt --lr 3e-4 --minutes 6 --checks 1 --validate 500 --compile --out runs/scan-20k
 
 $TRAIN --model picture_parameters --task T2 --train 4000 --steps 700 --checks 1 --compile --out runs/families-T2-all
 $TRAIN --model picture_parameters --task T2 --train 4000 --leave-out dress --steps 700 --checks 1 --compile --out runs/families-T2-dress
@@ -97,6 +98,7 @@ $TRAIN --model mean_measures --task T5 --train 4000 --out runs/T5-reference-mean
 $TRAIN --model measures --task T5 --train 4000 --steps 1000 --checks 1 --out runs/families-T5-all
 $TRAIN --model measures --task T5 --train 4000 --minutes 2 --checks 1 --out runs/T5-4k-measures
 $TRAIN --model measures --task T5 --train 8000 --minutes 3 --checks 2 --validate 500 --compile --out runs/T5-8k
+$TRAIN --model measures --task T5 --train 12000 --minutes 8 --checks 2 --validate 500 --compile --out runs/T5-12k
 $TRAIN --model measures --task T5 --train 4000 --leave-out dress --steps 1000 --checks 1 --out runs/families-T5-dress
 $TRAIN --model measures --task T5 --train 4000 --leave-out jumpsuit --steps 1000 --checks 1 --out runs/families-T5-jumpsuit
 $TRAIN --model measures --task T5 --train 4000 --leave-out pants --steps 1000 --checks 1 --out runs/families-T5-pants
@@ -108,6 +110,7 @@ $TRAIN --model box_mesh --task T6 --train 4000 --out runs/T6-reference-box_mesh
 $TRAIN --model coarse_drape --task T6 --train 4000 --out runs/T6-reference-coarse_drape
 $TRAIN --model drape_surrogate --task T6 --train 1000 --minutes 2 --checks 1 --out runs/T6-sizes
 $TRAIN --model drape_surrogate --task T6 --train 4000 --minutes 2 --out runs/T6
+$TRAIN --model drape_surrogate --task T6 --train 4000 --set coarse=3 --minutes 5 --checks 2 --compile --out runs/T6-coarse
 $TRAIN --model drape_surrogate --task T6 --train 4000 --steps 500 --checks 1 --out runs/families-T6-all
 $TRAIN --model drape_surrogate --task T6 --train 4000 --leave-out dress --steps 500 --checks 1 --out runs/families-T6-dress
 $TRAIN --model drape_surrogate --task T6 --train 4000 --leave-out jumpsuit --steps 500 --checks 1 --out runs/families-T6-jumpsuit
