@@ -1,7 +1,6 @@
 """Fittings: patterns read from files and draped on a body, written as pictures, mesh files and a report."""
 
 import io
-import itertools
 import json
 import logging
 import math
@@ -9,7 +8,7 @@ import platform
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import count, repeat
+from itertools import count, pairwise, repeat
 from pathlib import Path
 from typing import Any
 
@@ -357,7 +356,7 @@ def drape_together(
     start = time.perf_counter()
     meshes = [build_box_mesh(pattern, spacing=resolution) for pattern in placed]
     between = time.perf_counter()
-    tucked = [*(is_tucked(inner, outer, size) for inner, outer in itertools.pairwise(placed)), False]
+    tucked = [*(is_tucked(inner, outer, size) for inner, outer in pairwise(placed)), False]
     jobs = [
         DrapeJob(
             mesh,

@@ -19,21 +19,21 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 from trimesh.triangles import closest_point, points_to_barycentric
 
-from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import ConfigError, DrapeError, GcdError, did_you_mean
 from gcd_dataset.generator.drape import DrapeJob, Fabric, drape_batch
 from gcd_dataset.generator.drape.config import USUAL_FABRIC
+from gcd_dataset.generator.dressing.openings import panel_outline
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, design_to_dict
 from gcd_dataset.generator.garments.parameter import Real
 from gcd_dataset.generator.garments.rules import DrawnGarment
 from gcd_dataset.generator.garments.space import leaves
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
-from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Outcome, Panel, Pattern
+from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Outcome, Pattern
 from gcd_dataset.workers import Pool, parallel_map
 
 STEP = 0.05  # of a parameter's range
-EACH = 12  # points of an edge to which material points are related
+EACH = 12  # points of an edge, without its end, to which material points are related
 NEAR = 6  # triangles among which the one at a material point is looked for
 PAIRS_EACH = 2  # pairs of drapes for each parameter
 FEWEST_PAIRS = 12
@@ -120,7 +120,10 @@ def _changes(design: GarmentDesign, size: Measurements, drawn: Pattern, path: st
     inward = 0.02 if value_at(design_to_dict(design), path) < 0.5 * sum(_reals()[path].range) else -0.02
     with suppress(GcdError):
         other = DrawnGarment.of(size, moved(design, {path: inward})).pattern
-        return _alike(drawn, other) and not _is_same(drawn, other)
+        return _alike(drawn, other) and not all(
+            np.array_equal(panel_outline(a, EACH + 1), panel_outline(b, EACH + 1))
+            for a, b in zip(drawn.panels, other.panels, strict=True)
+        )
     return False
 
 
@@ -235,7 +238,7 @@ class Carrier:
         """The carrier of the vertices of a mesh."""
         mesh = worn.job.box_mesh
         rows = tuple(np.flatnonzero(mesh.panel_of_row == number) for number in range(len(worn.pattern.panels)))
-        outlines = map(outline, worn.pattern.panels)
+        outlines = [panel_outline(panel, EACH + 1) for panel in worn.pattern.panels]
         return Carrier(
             worn, rows, tuple(mean_value_coordinates(mesh.uv[r], o) for r, o in zip(rows, outlines, strict=True))
         )
@@ -245,19 +248,13 @@ class Carrier:
         mesh, base = other.job.box_mesh, self.worn.job.box_mesh
         found = np.zeros((len(base.uv), 3))
         for number, (rows, weights) in enumerate(zip(self.rows, self.weights, strict=True)):
-            places = weights @ outline(other.pattern.panels[number])
+            places = weights @ panel_outline(other.pattern.panels[number], EACH + 1)
             faces = np.flatnonzero(mesh.panel_id == number)
             found[rows] = _interpolated(mesh, faces, places, drape.vertices)
         sums, counts = np.zeros((len(base.vertices), 3)), np.zeros(len(base.vertices))
         np.add.at(sums, base.uv_vertex, found)
         np.add.at(counts, base.uv_vertex, 1.0)
         return sums / np.maximum(counts, 1.0)[:, None]
-
-
-def outline(panel: Panel) -> Float[np.ndarray, "k 2"]:
-    """Points of a panel's outline, ``EACH`` of each edge [cm]."""
-    edges = enumerate(panel.edges)
-    return np.concatenate([sample_curve(*panel.edge_ends(k), edge.curve, EACH + 1)[:-1] for k, edge in edges])
 
 
 def mean_value_coordinates(
@@ -312,12 +309,6 @@ def nearest_on(
 def _alike(one: Pattern, other: Pattern) -> bool:
     shape = [[(panel.name, len(panel.edges)) for panel in pattern.panels] for pattern in (one, other)]
     return shape[0] == shape[1]
-
-
-def _is_same(one: Pattern, other: Pattern) -> bool:
-    return _alike(one, other) and all(
-        np.array_equal(outline(a), outline(b)) for a, b in zip(one.panels, other.panels, strict=True)
-    )
 
 
 @cache

@@ -11,7 +11,6 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -59,14 +58,9 @@ class LandmarkTable(Record):
 
 @functools.cache
 def body_model() -> BodyModel:
-    """The body model with its refined mesh. Raises ``BodyError`` if the file is damaged."""
+    """The model from the file's arrays: mirrored, then refined. Raises ``BodyError`` if the file is damaged."""
     with np.load(io.BytesIO(checked_data("body.npz"))) as file:
         half = {name: file[name] for name in file.files}
-    return _model_from(half)
-
-
-def _model_from(half: Mapping[str, Any]) -> BodyModel:
-    """The model from the file's arrays: mirrored, then refined."""
     mirror = half["mirror"].astype(int)
     finer, faces, parts = refinement(half["faces"].astype(int), half["parts"])
     steps = half["component_steps"][:, None, None].astype(float)

@@ -40,10 +40,6 @@ class Landmarks(Record):
         means = {name: float(ring[:, 1].mean()) for name, ring in rings.items() if name in self.levels}
         return replace(self, rings={**self.rings, **rings}, levels={**self.levels, **means})
 
-    def with_points(self, points: Mapping[str, Float[np.ndarray, "3"]]) -> Self:
-        """The landmarks with some points replaced."""
-        return replace(self, points={**self.points, **points})
-
 
 def model_landmarks(vertices: Float[np.ndarray, "v 3"]) -> Landmarks:
     """The landmarks of a body with the model's mesh, by vertex id."""
@@ -76,7 +72,9 @@ class GivenLandmarks(Record):
         points = {name: placed(at[None])[0] for name, at in self.points.items()}
         rings = {name: placed(ring) for name, ring in self.rings.items()}
         certain = dict.fromkeys([*points, *rings], 1.0)
-        return replace(found.with_points(points).with_rings(rings), confidence={**found.confidence, **certain})
+        return replace(
+            found.with_rings(rings), points={**found.points, **points}, confidence={**found.confidence, **certain}
+        )
 
 
 def read_landmarks(path: Path, vertices: Float[np.ndarray, "v 3"]) -> GivenLandmarks:

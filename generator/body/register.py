@@ -10,7 +10,6 @@ import functools
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -252,11 +251,6 @@ class StandingTransform(Record):
     unit: float = 1.0
     """Length of the mesh's unit [cm]."""
 
-    @classmethod
-    def standing(cls, vertices: Float[np.ndarray, "v 3"], turn: Float[np.ndarray, "3 3"]) -> Self:
-        """The transform with this rotation that puts the lowest vertex at y = 0."""
-        return cls(turn, float((vertices @ turn[1]).min()))
-
     @property
     def turned(self) -> bool:
         """Whether the transform rotates."""
@@ -350,7 +344,7 @@ def _try(
     scan: BodyScan, turn: Float[np.ndarray, "3 3"], align: Callable[[SkinSurface], Alignment] = coarse_alignment
 ) -> UprightScan:
     """The scan in one orientation, with the model aligned to it."""
-    transform = StandingTransform.standing(scan.vertices, turn)
+    transform = StandingTransform(turn, float((scan.vertices @ turn[1]).min()))
     standing = transform.apply(scan.vertices)
     scale = model_height() / float(np.ptp(standing[:, 1]))
     middle = (standing.max(axis=0) + standing.min(axis=0)) / 2

@@ -89,9 +89,8 @@ class VisibleSkin(Record):
 def half_edges_of(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "s 2"], Int[np.ndarray, " s"]]:
     """The three directed edges of each face (s = 3 f), and the number of faces on each, in either direction."""
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    low, high = np.sort(edges, axis=1).astype(np.int64).T
-    _, edge, uses = np.unique((low << 32) + high, return_inverse=True, return_counts=True)
-    return edges, uses[edge.ravel()]
+    _, of_faces, uses = mesh_edges(faces)
+    return edges, uses[of_faces.ravel()]
 
 
 def _width(points: np.ndarray) -> float:

@@ -118,8 +118,7 @@ def subdivide_long_edges(
         return vertices, faces, np.arange(len(faces))
     from trimesh.remesh import subdivide_to_size
 
-    fine, pieces, owners = subdivide_to_size(vertices, faces, longest, return_index=True)
-    return fine, pieces, owners
+    return subdivide_to_size(vertices, faces, longest, return_index=True)
 
 
 def refine(

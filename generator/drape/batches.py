@@ -138,9 +138,7 @@ class Pass:
         fine, mesh = self.fine, self.fine.box_mesh
         if config.sewing_start:
             fine = replace(fine, box_mesh=replace(mesh, vertices=sewing_start(mesh, fine.body, fine.under)))
-        return replace(
-            self, fine=fine, coarse=None, constraints=_constraints(self.fine, None, self.prepared), coarse_frames=frames
-        )
+        return replace(self.refined(None, frames), fine=fine)
 
     def refined(self, start: CoarseEnd | None, frames: int) -> Self:
         """The fine pass after a coarse pass of ``frames`` frames."""

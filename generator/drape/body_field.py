@@ -19,10 +19,11 @@ import warp as wp
 from jaxtyping import Float, Float32, Int, UInt8
 from scipy.spatial import ConvexHull
 
-from gcd_dataset.generator.body.repair import VisibleSkin, half_edges_of
+from gcd_dataset.generator.body.repair import VisibleSkin
 from gcd_dataset.generator.body.surface import kept_per_body
 from gcd_dataset.generator.device import native_builds
 from gcd_dataset.generator.drape.kernels.field import BLOCK, LID, Hull, Voxels, add_hulls, fill_fields, measure_blocks
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import Body, BodyPart
 
 if TYPE_CHECKING:
@@ -86,11 +87,6 @@ class BodyField:
     """(g) the part of each face of ``mesh``, see ``HostField.parts``."""
     worn: "WornGarments | None" = None
     """The garments on the body."""
-
-
-def body_field(body: Body, device: str) -> BodyField:
-    """The field of a body on a device, cached."""
-    return body_fields([body], device)[0]
 
 
 def body_fields(
@@ -259,10 +255,7 @@ def _skin(digest: bytes, body: Body) -> SkinTopology:
 
 def _edges_without_lids(skin: VisibleSkin) -> Int[np.ndarray, "e 2"]:
     """Edges between vertices of the body; each lid adds one vertex, numbered after the body's."""
-    sides, _ = half_edges_of(skin.faces)
-    low, high = np.sort(sides, axis=1).astype(np.int64).T
-    edges = np.unique((low << 32) + high)
-    edges = np.stack([edges >> 32, edges & 0xFFFFFFFF], axis=1)
+    edges = mesh_edges(skin.faces).ends
     of_body = edges[:, 1] < skin.faces.max() + 1 - len(skin.rims)
     return edges[of_body].astype(np.int32)
 

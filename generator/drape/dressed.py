@@ -85,7 +85,7 @@ def dressed_fields(
 
 
 def _measured(given: Sequence[Worn], device: str) -> dict[Worn, WornGarments]:
-    """The garments of all bodies with few kernel launches, as ``body_field`` makes fields."""
+    """The garments of all bodies with few kernel launches, as ``body_fields`` makes fields."""
     _build_meshes(list(dict.fromkeys(chain(*(under for _, under in given)))), device)
     made, layers = {}, []
     for field, under in given:

@@ -237,7 +237,8 @@ class Slots:
             for own, begin, span in zip((model.vertices, model.edges, model.faces), at, spans, strict=True):
                 own[w] = slice(begin, begin + _count(span))
             if start is not None:
-                self._interpolate(start, spans[0], x, v)
+                inputs = [start.corners, start.weights, spans[0].start, start.x, start.v]
+                self._launch(kernels.interpolate, len(start.corners), inputs, [x, v])
             placements.append(_placement(w, at, spans, new.parameters[k], start))
         model.worlds.assign(self._rows)
         model.cloth.axes.assign(self._axes)
@@ -258,10 +259,6 @@ class Slots:
         outputs = [state.time, state.status, state.held, state.loose_after, state.frames, state.contacts]
         self._launch(kernels.place_worlds, count, [places], [*outputs, state.search, state.crossing])
         self.solver.rebuild_bvh_next()
-
-    def _interpolate(self, start: CoarseEnd, vertices: slice, x: wp.array, v: wp.array) -> None:
-        inputs = [start.corners, start.weights, vertices.start, start.x, start.v]
-        self._launch(kernels.interpolate, len(start.corners), inputs, [x, v])
 
     def _launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.solver.model.device)

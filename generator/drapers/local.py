@@ -9,7 +9,6 @@ from gcd_dataset.generator.drape import DrapeJob, batch_capacity, drape_batch, r
 from gcd_dataset.generator.drape.batches import drape_unordered
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, make_reply
-from gcd_dataset.records import Drape
 
 
 class LocalDraper:
@@ -56,7 +55,10 @@ class LocalDraper:
         begin = time.perf_counter()
         drapes = drape_batch([request.job for request in requests], device=self.device, at_once=self.at_once)
         seconds = (time.perf_counter() - begin) / len(requests)
-        self._done.extend(self._reply(request, drape, seconds) for request, drape in zip(requests, drapes, strict=True))
+        self._done.extend(
+            make_reply(request, drape, self.device, seconds=seconds)
+            for request, drape in zip(requests, drapes, strict=True)
+        )
 
     def _run_batch(self) -> None:
         """Run the batch until a garment comes to rest; requests sent in the meantime join the batch."""
@@ -81,7 +83,5 @@ class LocalDraper:
 
         drapes = drape_unordered(jobs(), DrapeConfig(), device=self.device, at_once=self.at_once)
         for count, (number, drape) in enumerate(drapes, 1):
-            yield self._reply(requests[number], drape, (time.perf_counter() - begin) / count)
-
-    def _reply(self, request: DrapeRequest, drape: Drape, seconds: float) -> DrapeReply:
-        return make_reply(request, drape, self.device, seconds=seconds)
+            seconds = (time.perf_counter() - begin) / count
+            yield make_reply(requests[number], drape, self.device, seconds=seconds)

@@ -55,10 +55,10 @@ def edge_points(panel: Panel, index: int) -> Float[np.ndarray, "n 3"]:
     return panel.placement.apply(sample_curve(*panel.edge_ends(index), panel.edge(index).curve, POINTS))
 
 
-def panel_outline(panel: Panel) -> Float[np.ndarray, "n 2"]:
-    """Points along all edges of a panel, in the panel's plane [cm]."""
+def panel_outline(panel: Panel, points: int = POINTS) -> Float[np.ndarray, "n 2"]:
+    """Points along all edges of a panel, ``points`` on each with both ends, in the panel's plane [cm]."""
     edges = range(len(panel.edges))
-    return np.concatenate([sample_curve(*panel.edge_ends(i), panel.edges[i].curve, POINTS)[:-1] for i in edges])
+    return np.concatenate([sample_curve(*panel.edge_ends(i), panel.edges[i].curve, points)[:-1] for i in edges])
 
 
 def _opening(pattern: Pattern, edges: tuple[EdgeRef, ...]) -> Opening:

@@ -52,7 +52,6 @@ def sewing_start(mesh: BoxMesh, body: Body, under: Sequence[WornCloth] = ()) -> 
     trousers = np.array([is_trouser_leg(name) for name in mesh.panel_names])
     skirts = (roles == PanelRole.LEG) & ~trousers
     skirt = Skirt.of(mesh, skirts) if skirts.any() else None
-    on_cone = skirt is not None and skirt.is_wide
     bodice, sleeves = (roles == PanelRole.BODY).any(), (roles == PanelRole.ARM).any()
     if not (skirts.any() or bodice or sleeves or trousers.any()):
         return mesh.vertices
@@ -63,7 +62,7 @@ def sewing_start(mesh: BoxMesh, body: Body, under: Sequence[WornCloth] = ()) -> 
     placed = np.array(mesh.vertices, float)
     if skirt is not None and np.isin(mesh.folds[:, :2], mesh.corners[skirts[mesh.panel_id]]).any():
         skirt.place_folded(limbs[BodyPart.TRUNK], placed)
-    elif skirt is not None and on_cone:
+    elif skirt is not None and skirt.is_wide:
         skirt.place_on_cone(limbs[BodyPart.TRUNK], placed)
     elif skirts.any():
         _end_above_feet(distinct(mesh.faces[skirts[mesh.panel_id]], len(placed)), body, placed)

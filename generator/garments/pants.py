@@ -23,7 +23,6 @@ from gcd_dataset.generator.garments.trunk import (
     back_quarter,
     drawn_rise,
     front_quarter,
-    waist_back,
     waist_front,
 )
 from gcd_dataset.generator.pattern import Component, Outline, Piece, backwards, cut_into, dart, tangent_quadratic
@@ -107,7 +106,7 @@ def _leg(size: Measurements, design: PantsDesign, rise: float, mends: frozenset[
         .sewn(front.along("inside"), back.along("inside"))
         .offering(
             front_top=front.along("top", ruffle=ahead.waist / (0.5 * waist_front(size))),
-            back_top=back.along("top", ruffle=behind.waist / (0.5 * waist_back(size))),
+            back_top=back.along("top", ruffle=behind.waist / (0.5 * size.waist_back_width)),
             front_crotch=front.along("centre", "crotch"),
             back_crotch=back.along("centre", "crotch"),
             hem=front.against("hem") + back.along("hem"),

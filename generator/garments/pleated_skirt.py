@@ -22,7 +22,7 @@ from gcd_dataset.generator.garments.garment import BottomGarment, Cutting
 from gcd_dataset.generator.garments.gathered_skirt import BACK, FRONT
 from gcd_dataset.generator.garments.skirt import SHORTEST, STRAIGHT, sewn_at_sides, skirt_length
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
-from gcd_dataset.generator.garments.trunk import back_share, girth_at_rise, waist_back, waist_front
+from gcd_dataset.generator.garments.trunk import back_share, girth_at_rise, waist_front
 from gcd_dataset.generator.pattern import Component, Interface, Outline, Piece, backwards
 from gcd_dataset.generator.pattern.stroke import Stroke
 from gcd_dataset.records import LineRole, Measurements
@@ -106,7 +106,7 @@ def pleated_skirt(size: Measurements, design: PleatedSkirtDesign, cutting: Cutti
             whole = whole.sewn(piece.along(upper), piece.against(lower))
     tops = (
         panel.top(ruffle=panel.width / waist)
-        for panel, waist in zip(panels, (waist_front(size), waist_back(size)), strict=True)
+        for panel, waist in zip(panels, (waist_front(size), size.waist_back_width), strict=True)
     )
     ring_front, ring_back = tops
     return whole.offering(top=ring_front + backwards(ring_back))

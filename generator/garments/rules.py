@@ -35,7 +35,6 @@ from gcd_dataset.generator.garments.tightness import (
     hip_load,
     rings,
     strap_stretch,
-    tightest_ring,
     trunk_rings,
 )
 from gcd_dataset.generator.garments.trunk import girth_at_rise
@@ -186,7 +185,7 @@ def tight_cuff(garment: DrawnGarment) -> Reject | None:
 
 def too_tight(garment: DrawnGarment) -> Reject | None:
     """A ring of cloth round trunk or legs is narrower than the body inside it, by more than cloth stretches."""
-    ring = tightest_ring(garment.size, garment.design, garment.wearer)
+    ring = max(rings(garment.size, garment.design, garment.wearer), key=lambda ring: ring.stretch, default=None)
     if ring is None or ring.stretch <= CLOTH_GIVES:
         return None
     figures = f"{ring.name} of {ring.cloth:.1f} cm round {ring.body:.1f} cm of body: {ring.remedy}"

@@ -12,7 +12,7 @@ from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend, folds
 from gcd_dataset.generator.garments.neckline import NecklineDesign, half_neckline, neckline_drop, worn_neckline
 from gcd_dataset.generator.garments.sleeve import Armhole, SleeveDesign, armhole, with_sleeve
 from gcd_dataset.generator.garments.space import Design, flag, real
-from gcd_dataset.generator.garments.trunk import waist_back, waist_front
+from gcd_dataset.generator.garments.trunk import waist_front
 from gcd_dataset.generator.pattern import (
     Component,
     Outline,
@@ -47,11 +47,6 @@ class TorsoHalf:
     """Names of the darts; their legs are the edges NAME.0 and NAME.1."""
 
     @property
-    def neck_base(self) -> float:
-        """Height of the shoulder line's inner end, at the centre [cm]."""
-        return self.level + self.rise
-
-    @property
     def upper_side(self) -> float:
         """Length of the uppermost part of the side: from the shoulder or armhole to the next dart or the hem [cm]."""
         return self.outline.run("side")[-1].length
@@ -74,10 +69,6 @@ class TorsoHalf:
     def width_below_shoulder(self, depth: float) -> float:
         """Width from the centre to the side, ``depth`` cm below the shoulder's outer end [cm]."""
         return self.shoulder + depth * self.lean
-
-    def cut_to(self, outline: Outline) -> Self:
-        """The half with another outline, after cuts."""
-        return type(self)(outline, self.shoulder, self.level, self.rise, self.lean, self.gather, self.darts)
 
 
 @dataclass(frozen=True)
@@ -119,8 +110,8 @@ def straight_front(size: Measurements, design: ShirtDesign) -> TorsoHalf:
 
 def straight_back(size: Measurements, design: ShirtDesign) -> TorsoHalf:
     """Half a back."""
-    slope, chest = tan(size.shoulder_incl), 0.5 * design.width * size.back_width
-    return _straight(chest, design.flare * chest, design.length * size.waist_line, slope, waist=0.5 * waist_back(size))
+    slope, chest, waist = tan(size.shoulder_incl), 0.5 * design.width * size.back_width, 0.5 * size.waist_back_width
+    return _straight(chest, design.flare * chest, design.length * size.waist_line, slope, waist=waist)
 
 
 def _straight(chest: float, hem: float, side: float, slope: float, *, waist: float) -> TorsoHalf:
@@ -292,7 +283,8 @@ def _with_sides_sewn(size: Measurements, front: TorsoHalf, back: TorsoHalf) -> C
 
 
 def _placed(size: Measurements, name: str, half: TorsoHalf, z: float) -> Piece:
-    return Piece(name, half.outline).at(0, size.height - size.head_l - half.neck_base, z)
+    neck_base = half.level + half.rise  # height of the shoulder line's inner end, at the centre
+    return Piece(name, half.outline).at(0, size.height - size.head_l - neck_base, z)
 
 
 def armhole_from_centre(size: Measurements, shirt: ShirtDesign, arm: SleeveDesign, *, fitted: bool) -> float:
@@ -357,7 +349,7 @@ def _with_armhole(size: Measurements, arm: _Armholes, half: TorsoHalf, depth: fl
             f"an armhole {depth:.1f} cm deep in a side with room for {room:.1f} cm: lower sleeve.connecting_width"
         )
     shape = armhole(arm.kind, width, depth, corner=arm.corner)
-    return half.cut_to(cut_corner(half.outline, "side", "shoulder", shape))
+    return replace(half, outline=cut_corner(half.outline, "side", "shoulder", shape))
 
 
 def _with_neckline(size: Measurements, neck: NecklineDesign, half: TorsoHalf, *, front: bool) -> TorsoHalf:
@@ -369,7 +361,7 @@ def _with_neckline(size: Measurements, neck: NecklineDesign, half: TorsoHalf, *,
             f"a neckline {width:.1f} cm from the centre leaves no shoulder beside an armhole at {left:.1f} cm: narrow "
             "collar.width"
         )
-    return half.cut_to(cut_corner(half.outline, "shoulder", "centre", shape))
+    return replace(half, outline=cut_corner(half.outline, "shoulder", "centre", shape))
 
 
 def _strapless(size: Measurements, neck: NecklineDesign, arm: SleeveDesign, *, mends: frozenset[Mend]) -> Component:
@@ -394,4 +386,5 @@ def _cropped(size: Measurements, neck: NecklineDesign, half: TorsoHalf, kept: fl
         )
     under, _ = side.split([kept / side.length])
     top = Stroke(under.end, inner, name="top", label=EdgeRole.STRAPLESS_TOP)
-    return half.cut_to(half.outline.with_strokes((side, shoulder, centre), (under, top, replace(centre, start=inner))))
+    cropped = half.outline.with_strokes((side, shoulder, centre), (under, top, replace(centre, start=inner)))
+    return replace(half, outline=cropped)

@@ -7,7 +7,7 @@ from math import cos, pi, sin
 from typing import Protocol
 
 from gcd_dataset.curves import Arc
-from gcd_dataset.generator.garments.trunk import waist_back, waist_front
+from gcd_dataset.generator.garments.trunk import waist_front
 from gcd_dataset.generator.pattern import Component, Interface, Outline, Piece, backwards
 from gcd_dataset.records import Measurements
 
@@ -103,7 +103,7 @@ def sewn_at_sides(front: Piece, back: Piece) -> Component:
 def waist_ring(size: Measurements, front: Piece, back: Piece) -> Interface:
     """The ring of both tops, gathered so that the side seams meet the sides of the waist."""
     front_ruffle = front.outline.length("top") / waist_front(size)
-    back_ruffle = back.outline.length("top") / waist_back(size)
+    back_ruffle = back.outline.length("top") / size.waist_back_width
     return across(front, "top", ruffle=front_ruffle) + backwards(across(back, "top", ruffle=back_ruffle))
 
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from enum import Enum
 from functools import cache
-from itertools import chain, islice, pairwise
+from itertools import islice, pairwise
 from reprlib import repr as short
 from textwrap import dedent, fill
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -347,18 +347,6 @@ def to_dict(design: Design) -> dict[str, Any]:
     return {key: to_dict(value) if isinstance(value, Design) else plain(value) for key, value in values.items()}
 
 
-def from_dict(kind: type[D], values: Mapping[str, Any]) -> D:
-    """The design from nested plain values or entries of design files, ``{"v": value, …}``.
-
-    Omitted parameters keep their defaults. Raises ``ConfigError`` with the paths of all unknown parameters and of all
-    values outside their ranges.
-    """
-    space = DesignSpace.declared(kind)
-    design, faults = read_values(space, values)
-    require_no_fault(chain((one.fault(space) for one in unknown_parameters(space, values)), faults))
-    return design
-
-
 class Unknown(NamedTuple):
     """A name that a design space lacks, with the value or table under it."""
 
@@ -396,7 +384,10 @@ def require_no_fault(faults: Iterable[str]) -> None:
 
 
 def read_values(space: DesignSpace[D], values: Mapping[str, Any], prefix: str = "") -> tuple[D, list[str]]:
-    """The design, with defaults in place of invalid values, and a sentence for each of these."""
+    """The design from nested plain values or entries of design files, ``{"v": value, …}``.
+
+    With defaults in place of omitted and of invalid values, and a sentence for each invalid one.
+    """
     read, faults = {}, []
     for entry in space.entries:
         if entry.key not in values:

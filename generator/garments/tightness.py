@@ -32,11 +32,6 @@ LARGER = "choose a larger size"
 WIDER_HEM = "raise waistband.waist or shirt.flare, or shorten shirt.length"
 
 
-def tightest_ring(size: Measurements, design: GarmentDesign, wearer: Measurements | None = None) -> Ring | None:
-    """The ring that has to stretch most; ``None`` for a garment without rings. Raises ``PatternError`` as ``parts``."""
-    return max(rings(size, design, wearer), key=lambda ring: ring.stretch, default=None)
-
-
 def rings(size: Measurements, design: GarmentDesign, wearer: Measurements | None = None) -> Iterator[Ring]:
     """The rings round the trunk, and the rings of the bottom: see ``BottomGarment.rings``.
 
@@ -151,13 +146,9 @@ def strap_stretch(size: Measurements, design: GarmentDesign) -> float:
     share the weight, and none rests on the hips: the worst case. Raises ``PatternError`` as ``parts``.
     """
     drawn = parts(size, design)
-    width = shoulder_width(drawn[0])
+    # All shoulder edges of the upper: twice its shoulder seams.
+    width = sum(edge.length for piece in drawn[0].pieces for edge in piece.outline.strokes if edge.name in SHOULDERS)
     return 1.0 + _area(drawn) * GRAVITY / (STIFFNESS * 0.01 * width) if width else 1.0
-
-
-def shoulder_width(upper: Component) -> float:
-    """Length of all shoulder edges of an upper [cm]: twice its shoulder seams."""
-    return sum(stroke.length for piece in upper.pieces for stroke in piece.outline.strokes if stroke.name in SHOULDERS)
 
 
 def hip_load(size: Measurements, design: GarmentDesign) -> HipLoad | None:

@@ -119,11 +119,6 @@ def waist_front(size: Measurements) -> float:
     return size.waist - size.waist_back_width
 
 
-def waist_back(size: Measurements) -> float:
-    """The back's part of the waist [cm]; see ``waist_front``."""
-    return size.waist_back_width
-
-
 def blend(at_zero: float, at_one: float, share: float) -> float:
     """Linear interpolation: ``at_zero`` for a share of 0, ``at_one`` for 1."""
     return (1 - share) * at_zero + share * at_one

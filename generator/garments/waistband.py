@@ -9,7 +9,7 @@ from enum import Enum
 from gcd_dataset.generator.garments.front import FrontDesign, sewn_fronts, with_extension
 from gcd_dataset.generator.garments.skirt import band, sector
 from gcd_dataset.generator.garments.space import Design, real
-from gcd_dataset.generator.garments.trunk import back_share, girth_at_rise, waist_back, waist_front
+from gcd_dataset.generator.garments.trunk import back_share, girth_at_rise, waist_front
 from gcd_dataset.generator.pattern import Component, Interface, Piece, backwards
 from gcd_dataset.records import Closure, Measurements
 
@@ -85,9 +85,9 @@ def waistband(
 
     *first, last = gathered("top")
     return whole.offering(
-        top=sum((last, back.along("top", ruffle=back.outline.length("top") / waist_back(size)), *first), ()),
+        top=sum((last, back.along("top", ruffle=back.outline.length("top") / size.waist_back_width), *first), ()),
         bottom=sum(map(backwards, gathered("bottom")), ())
-        + back.against("bottom", ruffle=back.outline.length("bottom") / waist_back(size)),
+        + back.against("bottom", ruffle=back.outline.length("bottom") / size.waist_back_width),
     )
 
 

@@ -242,7 +242,8 @@ def _fill(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned) -> _Filled:
     kept = thinned.kept[mesh.uv_vertex[borders.rows]]
     rows = borders.rows[kept]
     panels, number = np.unique(borders.panel, return_inverse=True)
-    fine_panel = _panel_of_rows(mesh, panels)
+    fine_panel = np.full(len(mesh.uv), -1)  # stays -1 for rows of ``uv`` without a face
+    fine_panel[mesh.corners] = np.searchsorted(panels, mesh.panel_id)[:, None]
     of_inner = fine_panel.copy()
     of_inner[borders.rows] = -1
     inner = np.split(stable_order(of_inner + 1), np.cumsum(np.bincount(of_inner + 1, minlength=len(panels) + 1))[:-1])
@@ -319,13 +320,6 @@ def _join(mesh: BoxMesh, borders: PanelLoops, thinned: Thinned, filled: _Filled)
         labels={name: number[ids[thinned.kept[ids]]] for name, ids in mesh.labels.items()},
     )
     return CoarseMesh(coarse, *_interpolation(mesh, thinned, filled, vertex))
-
-
-def _panel_of_rows(mesh: BoxMesh, panels: Int[np.ndarray, " p"]) -> Int[np.ndarray, " c"]:
-    """The row of ``panels`` of each row of ``uv``; -1 for rows without a face."""
-    found = np.full(len(mesh.uv), -1)
-    found[mesh.corners] = np.searchsorted(panels, mesh.panel_id)[:, None]
-    return found
 
 
 def _in_space(

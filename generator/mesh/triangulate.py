@@ -48,25 +48,15 @@ def fill_outline(border: Float[np.ndarray, "n 2"], spacing: float, cache: Fillin
 
     A clockwise loop is filled as its mirror image, so that a back has the mesh of the front it mirrors. ``cache`` holds
     the outlines filled so far: a left panel often is the mirror image of the right one to the last bit. Raises
-    ``MeshError`` as ``triangulate`` does.
+    ``MeshError`` as ``Triangulator.fill`` does.
     """
     mirror = np.array([1.0 if shapely.LinearRing(border).is_ccw else -1.0, 1.0])
     outline = border * mirror + 0.0  # no -0.0: the bytes are the cache's key
     key = (outline.tobytes(), spacing)
     if key not in cache:
-        cache[key] = triangulate(outline, spacing)
+        cache[key] = triangulator().fill(outline, spacing)
     seeds, faces = cache[key]
     return np.concatenate([border, seeds * mirror]), faces
-
-
-def triangulate(border: Float[np.ndarray, "n 2"], spacing: float, quality: Quality = FINE) -> Filling:
-    """Seeds [cm] inside a closed counter-clockwise loop of points, and the triangles over border and seeds.
-
-    The points of the loop are at most ``spacing`` [cm] apart and keep the numbers 0 … n-1; the seeds follow. Triangles
-    are counter-clockwise, and every segment of the loop is an edge of exactly one triangle. Raises ``MeshError`` where
-    the loop touches itself.
-    """
-    return triangulator().fill(border, spacing, quality)
 
 
 def lattice_size(border: Float[np.ndarray, "n 2"], spacing: float) -> int:
@@ -106,7 +96,12 @@ class Triangulator:
         self._room = (0, 0)
 
     def fill(self, border: Float[np.ndarray, "n 2"], spacing: float, quality: Quality = FINE) -> Filling:
-        """As ``triangulate``."""
+        """Seeds [cm] inside a closed counter-clockwise loop of points, and the triangles over border and seeds.
+
+        The points of the loop are at most ``spacing`` [cm] apart and keep the numbers 0 … n-1; the seeds follow.
+        Triangles are counter-clockwise, and every segment of the loop is an edge of exactly one triangle. Raises
+        ``MeshError`` where the loop touches itself.
+        """
         n, (origin, rows, columns) = len(border), _lattice(border, spacing)
         with self._lock:
             self._make_room(2 * n + rows * columns, rows * columns)

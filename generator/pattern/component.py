@@ -162,11 +162,11 @@ def _with_mirrored_labels(piece: Piece) -> Piece:
     if not any(stroke.label for stroke in piece.outline.strokes):
         return piece
     labels = (s.label.mirrored if isinstance(s.label, EdgeRole) else s.label for s in piece.outline.strokes)
-    return piece.drawn_as(piece.outline.labelled(labels))
+    return replace(piece, outline=piece.outline.labelled(labels))
 
 
 def _labelled(piece: Piece, edges: set[tuple[str, str]], label: EdgeRole) -> Piece:
     if not any((piece.name, stroke.name) in edges for stroke in piece.outline.strokes):
         return piece
     labels = (label if (piece.name, stroke.name) in edges else stroke.label for stroke in piece.outline.strokes)
-    return piece.drawn_as(piece.outline.labelled(labels))
+    return replace(piece, outline=piece.outline.labelled(labels))

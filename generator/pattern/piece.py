@@ -152,10 +152,6 @@ class Piece:
         """With another label."""
         return type(self)(self.name, self.outline, self.translation, self.rotation, label, self.lines)
 
-    def drawn_as(self, outline: Outline) -> Self:
-        """With another outline."""
-        return type(self)(self.name, outline, self.translation, self.rotation, self.label, self.lines)
-
     def along(self, *edges: str, ruffle: float = 1.0) -> Interface:
         """The interface of these edges in turn, each in drawing direction; ``ruffle``: see ``Section``."""
         return tuple(Section(self.name, edge, ruffle=ruffle) for edge in edges)

@@ -25,7 +25,7 @@ from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.generator.body.repair import VisibleSkin
 from gcd_dataset.generator.body.shape import T_POSE
-from gcd_dataset.generator.drape.body_field import body_field
+from gcd_dataset.generator.drape.body_field import body_fields
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape
 from gcd_dataset.seeding import Stage, rng
 from tests.generator.body.broken_bodies import broken_body
@@ -143,7 +143,7 @@ def test_a_scan_with_holes_has_the_field_of_the_whole_body(tmp_path: Path, caplo
     body, _ = read_body(path)
     assert "were closed with flat patches" in caplog.text
     assert (body.parts[len(woman.vertices) : len(both.vertices)] == BodyPart.INTERNAL.value).all()
-    whole, mended = body_field(woman, "cpu"), body_field(body, "cpu")
+    whole, mended = body_fields([woman], "cpu")[0], body_fields([body], "cpu")[0]
     assert whole.distance.shape == mended.distance.shape
     assert np.abs(whole.distance.numpy() - mended.distance.numpy()).max() < 1.5
 
@@ -270,4 +270,4 @@ def test_a_body_like_smplxs_lying_in_z_up_centimetres(tmp_path: Path, monkeypatc
     assert (body.parts[eyes] == BodyPart.INTERNAL.value).all()
     mouth = (body.parts == BodyPart.INTERNAL.value).sum() - len(np.unique(eyes))
     assert mouth > 50
-    assert not (body_field(body, "cpu").part.numpy() == BodyPart.INTERNAL.value).any()
+    assert not (body_fields([body], "cpu")[0].part.numpy() == BodyPart.INTERNAL.value).any()

@@ -81,7 +81,7 @@ def main() -> None:
 
 
 def bake(bodies: AnnyBodies) -> dict[str, Any]:
-    """The arrays of ``body.npz``; see ``asset._model_from``."""
+    """The arrays of ``body.npz``; see ``asset.body_model``."""
     measurer = _Measurer(bodies)
     means = {name: calibrated(measurer, name) for name in GENDER}
     rng = np.random.default_rng(SEED)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
-from gcd_dataset.generator.drape.body_field import body_field, host_field
+from gcd_dataset.generator.drape.body_field import body_fields, host_field
 from gcd_dataset.generator.drape.kernels import untangling as kernels
 from gcd_dataset.generator.drape.model import INERTIA_GAIN, build_model
 from gcd_dataset.generator.drape.outcome import untangle
@@ -52,7 +52,7 @@ def test_segment_through_a_triangle() -> None:
 @settings(max_examples=3, deadline=None)
 @given(radius=st.floats(6.0, 15.0))
 def test_the_field_of_a_ball_is_the_distance_to_it(radius: float) -> None:
-    field = body_field(body_from(trimesh.creation.icosphere(subdivisions=4, radius=radius)), "cpu")
+    field = body_fields([body_from(trimesh.creation.icosphere(subdivisions=4, radius=radius))], "cpu")[0]
     values = field.distance.numpy()
     voxels = np.stack(np.meshgrid(*(np.arange(n) for n in values.shape), indexing="ij"), axis=-1)
     expected = np.linalg.norm(voxels * field.cell + field.origin, axis=-1) - radius
@@ -83,9 +83,9 @@ def test_internal_parts_do_not_change_the_field_of_a_body() -> None:
         vertices=np.where(pole[:, None], ball.vertices * [0.8, 0.8, 0.3], ball.vertices),
         parts=np.where(pole, INTERNAL, 0).astype(np.uint8),
     )
-    alone = body_field(body_from(ball), "cpu")
+    alone = body_fields([body_from(ball)], "cpu")[0]
     for body in (with_eye, socket):
-        field = body_field(body, "cpu")
+        field = body_fields([body], "cpu")[0]
         assert not (field.part.numpy() == INTERNAL).any()
         off = np.abs(field.distance.numpy() - alone.distance.numpy()[:, :, : field.distance.shape[2]])
         assert off.max() < 0.7  # the lid over the socket is flat
@@ -93,7 +93,7 @@ def test_internal_parts_do_not_change_the_field_of_a_body() -> None:
 
 
 def check_closed_to_cloth(body: Body) -> None:
-    field = body_field(body, "cpu")
+    field = body_fields([body], "cpu")[0]
     skin = trimesh.Trimesh(field.mesh.points.numpy(), field.mesh.indices.numpy().reshape(-1, 3), process=False)
     assert skin.is_watertight
     assert skin.is_winding_consistent
@@ -302,7 +302,7 @@ def head_above_the_mouth(body: Body) -> Float[np.ndarray, "n 3"]:
 def test_cloth_collides_with_the_convex_hull_of(part: Callable[[Body], Float[np.ndarray, "n 3"]]) -> None:
     """A point between two fingers or behind an ear is therefore inside."""
     body = build_body(neutral_shape())
-    field = body_field(body, "cpu")
+    field = body_fields([body], "cpu")[0]
     points = part(body)
     hull = trimesh.convex.convex_hull(points)
     tip = points[points[:, 0].argmax()]

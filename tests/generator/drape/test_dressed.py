@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body.limbs import limbs_of
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, drape_outfit, layers_of
-from gcd_dataset.generator.drape.body_field import body_field
+from gcd_dataset.generator.drape.body_field import body_fields
 from gcd_dataset.generator.drape.dressed import dressed_fields
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import FINISHES
@@ -34,7 +34,7 @@ def on_trunk(radius: float) -> DrapeJob:
 
 
 def test_the_field_of_a_dressed_body_is_lowered_to_the_cloth_and_covers_it() -> None:
-    field, cloth = body_field(body_from(trunk()), "cpu"), ring(30.0)
+    field, cloth = body_fields([body_from(trunk())], "cpu")[0], ring(30.0)
     [over] = dressed_fields([field], [(cloth,)], [0.0])
     low, at = np.array(over.origin), over.distance.numpy()
 
@@ -55,7 +55,7 @@ def test_worn_cloth_is_built_on_a_device_by_its_name(monkeypatch: pytest.MonkeyP
         return nullcontext()
 
     monkeypatch.setattr("gcd_dataset.generator.drape.dressed.native_builds", builds)
-    dressed_fields([body_field(body_from(trunk()), "cpu")], [(ring(31.0),)], [0.0])
+    dressed_fields([body_fields([body_from(trunk())], "cpu")[0]], [(ring(31.0),)], [0.0])
     assert {*asked} == {"cpu"}
 
 

@@ -8,7 +8,7 @@ import shapely
 
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.device import launch_lock
-from gcd_dataset.generator.mesh.triangulate import LONGEST, flat_areas, triangulate, triangulator
+from gcd_dataset.generator.mesh.triangulate import LONGEST, flat_areas, triangulator
 from tests.generator.mesh.shapes import (
     angles,
     areas,
@@ -45,7 +45,7 @@ def test_triangles_fill_the_outline_once(name: str) -> None:
 
 
 def assert_filled_once(border: np.ndarray) -> None:
-    seeds, faces = triangulate(border, 1.0)
+    seeds, faces = triangulator().fill(border, 1.0)
     points = np.concatenate([border, seeds])
     assert (areas(points, faces) > 0).all()
     assert areas(points, faces).sum() == pytest.approx(shapely.Polygon(border).area)
@@ -58,7 +58,7 @@ def assert_filled_once(border: np.ndarray) -> None:
 
 def assert_delaunay(border: np.ndarray) -> None:
     """The two angles opposite an inner edge add up to at most 180°."""
-    seeds, faces = triangulate(border, 1.0)
+    seeds, faces = triangulator().fill(border, 1.0)
     looks = angles(np.concatenate([border, seeds]), faces)
     opposite = {
         (int(face[i - 2]), int(face[i - 1])): float(look[i])
@@ -86,7 +86,7 @@ def test_a_slit_with_a_gathered_side_is_filled_once(width: float, gathered: floa
 def test_triangles_are_well_shaped(name: str, spacing: float) -> None:
     """An angle under 20° is opposite a short side of the outline, where no seed can help."""
     border = loop(OUTLINES[name], spacing)
-    seeds, faces = triangulate(border, spacing)
+    seeds, faces = triangulator().fill(border, spacing)
     points = np.concatenate([border, seeds])
     over_border = (np.roll(faces, -1, axis=1) < len(border)) & (np.roll(faces, 1, axis=1) < len(border))
     assert (angles(points, faces)[~over_border] > 20.0).all()
@@ -95,7 +95,7 @@ def test_triangles_are_well_shaped(name: str, spacing: float) -> None:
 
 def test_a_disc_is_meshed_as_regularly_as_its_inside() -> None:
     border = circle(20.0, 1.0)
-    seeds, faces = triangulate(border, 1.0)
+    seeds, faces = triangulator().fill(border, 1.0)
     points = np.concatenate([border, seeds])
     assert angles(points, faces).min() > 28.0
     assert np.median(sides(points, faces)) == pytest.approx(0.97, abs=1e-6)
@@ -107,7 +107,7 @@ def test_a_gathered_edge_is_graded(gathered: float) -> None:
     """One side of a square has points ``gathered`` times as dense; triangles grow from it into the square."""
     dense = loop(rectangle(20.0, 20.0), 1.0 / gathered)[: int(20 * gathered)]
     border = np.concatenate([dense, loop(rectangle(20.0, 20.0), 1.0)[20:]])
-    seeds, faces = triangulate(border, 1.0)
+    seeds, faces = triangulator().fill(border, 1.0)
     points = np.concatenate([border, seeds])
     assert angles(points, faces).min() > 20.0
     assert sides(points, faces).max() <= LONGEST
@@ -116,7 +116,7 @@ def test_a_gathered_edge_is_graded(gathered: float) -> None:
 
 def test_points_of_the_lattice_are_numbered_row_by_row() -> None:
     """Rows and places in them ascend: a stored mesh is half as large as with its points in the order of insertion."""
-    seeds, _ = triangulate(loop(rectangle(30.0, 20.0), 1.0), 1.0)
+    seeds, _ = triangulator().fill(loop(rectangle(30.0, 20.0), 1.0), 1.0)
     lattice = seeds[:500]  # those of the refinement follow all of the lattice
     assert (np.lexsort((lattice[:, 0], lattice[:, 1].round(6))) == np.arange(500)).all()
 
@@ -124,7 +124,7 @@ def test_points_of_the_lattice_are_numbered_row_by_row() -> None:
 def test_a_spike_of_no_width_is_refused() -> None:
     corners = [(0.0, 0.0), (20, 0), (20, 5), (30, 5 + 1e-11), (20, 5 + 2e-11), (20, 10), (0, 10)]
     with pytest.raises(MeshError, match=r"the outline touches itself near \(.*\) cm: move its edges apart"):
-        triangulate(loop(corners, 1.0), 1.0)
+        triangulator().fill(loop(corners, 1.0), 1.0)
 
 
 @pytest.mark.parametrize("width", [1e-9, 1e-6, 1e-3])
@@ -146,7 +146,7 @@ def test_an_outline_whose_corners_lie_on_a_line_is_filled() -> None:
             (2.5155341923941754, 38.45688064783383),
         ]
     )
-    seeds, faces = triangulate(border, 1.0)
+    seeds, faces = triangulator().fill(border, 1.0)
     area = shapely.Polygon(border).area
     assert flat_areas(np.concatenate([border, seeds])[faces]).sum() == pytest.approx(area)
 
@@ -154,14 +154,14 @@ def test_an_outline_whose_corners_lie_on_a_line_is_filled() -> None:
 def test_an_outline_through_its_own_corner_is_refused() -> None:
     border = np.array([(0, 0), (2, 0), (2, 2), (1, 0), (0, 2)], float)
     with pytest.raises(MeshError, match="the outline touches itself"):
-        triangulate(border[[0, 1, 2, 4, 3]] * [1.0, -1.0], 1.0)
+        triangulator().fill(border[[0, 1, 2, 4, 3]] * [1.0, -1.0], 1.0)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_each_point_is_found_in_the_triangle_that_holds_it(seed: int) -> None:
     """Means of three corners with positive weights; a point beside the outline is found in the triangle there."""
     border, random = loop(star(seed), 1.0), np.random.default_rng(seed)
-    seeds, faces = triangulate(border, 1.0)
+    seeds, faces = triangulator().fill(border, 1.0)
     shares = random.dirichlet(np.ones(3), size=len(faces))
     inside = np.einsum("fk,fkd->fd", shares, np.concatenate([border, seeds])[faces])
     order = random.permutation(len(faces))
@@ -175,10 +175,10 @@ def test_each_point_is_found_in_the_triangle_that_holds_it(seed: int) -> None:
 def test_an_outline_is_not_filled_while_another_thread_captures_a_graph() -> None:
     """Warp's capture is one for all threads: a launch in another one would look it up while it ends."""
     border = loop(rectangle(8.0, 5.0), 1.0)
-    seeds, _ = triangulate(border, 1.0)
+    seeds, _ = triangulator().fill(border, 1.0)
     with ThreadPoolExecutor(1) as pool:
         pool.submit(triangulator).result()
         with launch_lock:
-            filling = pool.submit(triangulate, border, 1.0)
+            filling = pool.submit(lambda: triangulator().fill(border, 1.0))
             assert not wait([filling], timeout=0.2).done
         assert (filling.result()[0] == seeds).all()
