@@ -126,12 +126,12 @@ def spec_from_pattern(pattern: Pattern) -> dict[str, Any]:
         for seam, sides in seams
         if not seam.is_plain
     ]
-    hidden = {number for number, (seam, sides) in enumerate(seams) if _names_line(sides) or pattern.layers(seam)}
     of_lines = [
         {"seam": number, "sides": sides, "right_wrong": seam.right_wrong}
         for number, (seam, sides) in enumerate(seams)
-        if number in hidden
+        if any("line" in side for side in sides) or pattern.layers(seam)
     ]
+    hidden = {entry["seam"] for entry in of_lines}
     return {
         "pattern": {
             "panels": {panel.name: _panel_entry(panel) for panel in pattern.panels},
@@ -422,7 +422,7 @@ def _panel_entry(panel: Panel) -> dict[str, Any]:
         "translation": panel.placement.translation.tolist(),
         "rotation": np.degrees(panel.placement.rotation).tolist(),
         "vertices": panel.vertices.tolist(),
-        "edges": [_edge_entry(edge) for edge in panel.edges],
+        "edges": [{**_curve_entry(edge), **({"label": edge.label} if edge.label else {})} for edge in panel.edges],
     }
     if panel.lines:
         entry["lines"] = [
@@ -430,11 +430,6 @@ def _panel_entry(panel: Panel) -> dict[str, Any]:
             for line in panel.lines
         ]
     return {**entry, "label": panel.label} if panel.label else entry
-
-
-def _edge_entry(edge: Edge) -> dict[str, Any]:
-    entry = _curve_entry(edge)
-    return {**entry, "label": edge.label} if edge.label else entry
 
 
 def _curve_entry(edge: Edge | InnerLine) -> dict[str, Any]:
@@ -455,10 +450,6 @@ def _side_entry(ref: EdgeRef, panels: Mapping[str, Panel]) -> dict[str, Any]:
     line = ref.edge - len(panels[ref.panel].edges) if ref.panel in panels else -1
     is_line = line >= 0 and line < len(panels[ref.panel].lines)
     return {"panel": ref.panel, "line": line} if is_line else {"panel": ref.panel, "edge": ref.edge}
-
-
-def _names_line(sides: Sequence[Mapping[str, Any]]) -> bool:
-    return any("line" in side for side in sides)
 
 
 def _hanging_point(panel: Panel) -> tuple[float, float, float]:

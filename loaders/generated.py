@@ -132,7 +132,8 @@ class GeneratedGarments(Garments):
         # Created here, so that all workers share these draping processes, which end with this process, not with a
         # worker.
         self._addresses = addresses_for(named_devices(self.config.device) if self.config.stage == "drape" else ["cpu"])
-        self.cache = None if cache_dir is None else user_path(cache_dir) / self._cache_name
+        cache_name = f"{__version__}-{SCHEMA}-seed{self._seed}-{recipe_hash(self._recipe)[:16]}"
+        self.cache = None if cache_dir is None else user_path(cache_dir) / cache_name
         """The folder of this seed, recipe and version in ``cache_dir``; ``None`` without a cache."""
         self._sample_cache = None if self.cache is None else SampleCache(self.cache)
         self._last = LastDesign()
@@ -263,11 +264,6 @@ class GeneratedGarments(Garments):
 
     def _description(self) -> list[str]:
         return [f"seed {self._seed}", f"stage {self.config.stage} on {self.config.device}"]
-
-    @property
-    def _cache_name(self) -> str:
-        """Name of the cache folder: one per seed, recipe, version and schema, since garments of each differ."""
-        return f"{__version__}-{SCHEMA}-seed{self._seed}-{recipe_hash(self._recipe)[:16]}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -62,7 +62,9 @@ class SceneTransform(ABC):
     def __init__(self, size: int, seed: int, device: str, bodies: Bodies | BodyOf | None) -> None:
         self.size, self.seed = require_integer("size", size, least=1, most=LARGEST), require_integer("seed", seed)
         self.device = device_of_process(device)
-        self._body_of = bodies_by_name(bodies)
+        if bodies is not None and not isinstance(bodies, Bodies):
+            require_callable("bodies", bodies, "name")
+        self._body_of = _PeopleByName(bodies) if isinstance(bodies, Bodies) else bodies
         self._epoch, self._process = shared_number(), os.getpid()
 
     def __call__(self, item: Item, rng: np.random.Generator | None = None) -> Item:
@@ -237,13 +239,6 @@ def wearer_of(garment: StoredGarment, body_of: BodyOf | None) -> Body:
         f"{meta['key']} has no shape weights of its wearer, {name}: read the field body too, or for published garments "
         f"give {garment.user}(bodies=PublishedBodies(ROOT, segmentation=FILE))"
     )
-
-
-def bodies_by_name(bodies: Bodies | BodyOf | None) -> BodyOf | None:
-    """The bodies of a data set of people as a function of their name; a function stays. Raises ``ConfigError``."""
-    if bodies is not None and not isinstance(bodies, Bodies):
-        require_callable("bodies", bodies, "name")
-    return _PeopleByName(bodies) if isinstance(bodies, Bodies) else bodies
 
 
 def _fits_model(weights: np.ndarray) -> bool:

@@ -146,14 +146,11 @@ def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> 
         if folder is None:
             raise ConfigError(f"{source}: a data set of bodies: run gcd download {source} first, then give the folder")
         return _Examined(store.location(), (), folder)
-    names = sorted((name for name, record in manifest.splits.items() if record.count), key=_split_order)
+    made = {name for name, record in manifest.splits.items() if record.count}
+    # Garments of later splits are compared with those of earlier ones.
+    names = [*(name for name in SPLITS if name in made), *sorted(made - {*SPLITS})]
     splits = tuple(_shard_split(source, name, options) for name in names)
     return _Examined(store.location(), splits, folder)
-
-
-def _split_order(name: str) -> tuple[int, str]:
-    """Sort key: train, validation, test, then the others; garments of later splits are compared with earlier ones."""
-    return (SPLITS.index(name) if name in SPLITS else len(SPLITS), name)
 
 
 def _shard_split(source: str, split: str, options: Mapping[str, Any]) -> _Split:
@@ -204,7 +201,10 @@ class _Examination:
         self._compare_splits()
         for name, census in self.census.splits.items():
             self._summarise(name, census)
-        self._check_files()
+        if self.source.published is not None:
+            wearers = None if self.quick else self.wearers
+            for check, name, text in published_faults(self.source.published, self.source.garment_lists, wearers):
+                self.tally.add(check, FILES, name, [text])
         totals = {name: len(census) for name, census in self.census.splits.items()}
         summaries = tuple(self._summary(split) for split in self.source.splits)
         return Report(self.source.name, summaries, self.tally.findings(totals, self.harms))
@@ -268,12 +268,6 @@ class _Examination:
             self.tally.add(checks.SKEWED, split, "", [text])
         if self.tally.count(checks.FAILED_DRAPE, split) <= FEW_FAILED * count:
             self.harms[checks.FAILED_DRAPE, split] = Harm.WARNING
-
-    def _check_files(self) -> None:
-        if self.source.published is not None:
-            wearers = None if self.quick else self.wearers
-            for check, name, text in published_faults(self.source.published, self.source.garment_lists, wearers):
-                self.tally.add(check, FILES, name, [text])
 
     def _summary(self, split: _Split) -> SplitSummary:
         census = self.census.splits[split.name]

@@ -14,6 +14,7 @@ from gcd_dataset.check import checks
 from gcd_dataset.check.checks import Check
 from gcd_dataset.errors import PatternError, SpecError
 from gcd_dataset.faults import Rule, Severity, check_pattern
+from gcd_dataset.generator.mesh.triangulate import flat_areas
 from gcd_dataset.generator.quality import WRONG_ORDER
 from gcd_dataset.loaders import OutfitCloth
 from gcd_dataset.meshedges import mesh_edges
@@ -242,7 +243,8 @@ def _pattern_faults(garment: CheckedGarment, pattern: Pattern) -> Iterator[Fault
     """Loops that run the wrong way round, and patterns that cannot be sewn."""
     across = np.array([panel.placement.matrix[:, 2] for panel in pattern.panels])
     loops = loop_areas(garment.arrays["edges"], len(across))
-    if loop_outwardness(loops, garment.arrays["panels"][:, :3], across) < INWARD:
+    # As if the panels were triangles: -1 if all loops run clockwise as seen from outside.
+    if _outwardness(loops[:, None] * across, garment.arrays["panels"][:, :3]) < INWARD:
         yield checks.LOOPS, "all panels"
     faults = check_pattern(pattern)
     if any(fault.rule is Rule.SEWN_CROSSWISE for fault in faults):
@@ -368,12 +370,6 @@ def _facing(
             yield f"{sides} are exchanged"
 
 
-def flat_areas(corners: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, " f"]:
-    """Signed areas of flat triangles, positive for counter-clockwise ones [cm²]."""
-    (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
-    return np.asarray(0.5 * (ax * by - ay * bx))
-
-
 def loop_areas(edges: Float[np.ndarray, "e 13"], count: int) -> Float[np.ndarray, " p"]:
     """Signed area of each panel's loop, with the midpoint of each curve as a corner [cm²].
 
@@ -390,16 +386,6 @@ def loop_areas(edges: Float[np.ndarray, "e 13"], count: int) -> Float[np.ndarray
     middle = np.where(kind == CurveKind.ARC, c0, middle)
     (dx, dy), (x, y) = (start - end).T, middle.T
     return 0.5 * np.bincount(panel, dx * y - dy * x, count)
-
-
-def loop_outwardness(
-    loops: Float[np.ndarray, " p"], centre: Float[np.ndarray, "p 3"], across: Float[np.ndarray, "p 3"]
-) -> float:
-    """As ``outwardness``, of the panels as they are placed: -1 if all loops run clockwise as seen from outside.
-
-    ``loops``: signed areas [cm²]; ``centre``: of each panel in space [cm]; ``across``: the panels' unit z axes.
-    """
-    return _outwardness(loops[:, None] * across, centre)
 
 
 def outwardness(placed: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> float:

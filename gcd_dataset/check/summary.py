@@ -12,7 +12,6 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.codec import decode_field, opened_picture
 from gcd_dataset.shards.index import GRADES
 from gcd_dataset.shards.layout import GARMENTS, fields_of, is_picture, is_view_field, joint_fields
-from gcd_dataset.shards.manifest import SplitRecord
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.notes import REJECTS
 from gcd_dataset.shards.reader import ShardReader
@@ -45,7 +44,10 @@ def info_lines(store: Store) -> Iterator[str]:
             continue
         reader = ShardReader(store, split, layout=layout_of(record))
         yield from _split_lines(reader)
-        yield from _recipe_lines(record)
+        yield f"  seed {record.plan.seed}, recipe {json.dumps(dict(record.plan.recipe), sort_keys=True)}"
+        yield from _bars("rejected attempts by rule", record.rejects)
+        average = sum(record.redraws.values()) / record.count
+        yield from _bars(f"redraws by rule, {average:.2f} per sample", record.redraws)
         if record.rejects and isinstance(store, FolderStore) and (store.folder / REJECTS).exists():
             yield f"    every rejected attempt, with its figures: {store.folder / REJECTS}"
         if isinstance(store, FolderStore):
@@ -74,27 +76,13 @@ def _split_lines(reader: ShardReader) -> Iterator[str]:
         yield f"  grades: {', '.join(reversed(list(shares)))}"
 
 
-def _recipe_lines(record: SplitRecord) -> Iterator[str]:
-    yield f"  seed {record.plan.seed}, recipe {json.dumps(dict(record.plan.recipe), sort_keys=True)}"
-    if record.rejects:
-        yield from _bars("rejected attempts by rule", record.rejects)
-    if record.redraws:
-        total, count = sum(record.redraws.values()), record.count
-        yield from _bars(f"redraws by rule, {total / count:.2f} per sample", record.redraws)
-
-
 def _bytes_by_member(reader: ShardReader, members: Sequence[str]) -> dict[str, int]:
     amounts: Counter[str] = Counter()
     for content in reader.read_many(evenly_spaced(len(reader), WEIGHED), members):
         for member, data in content.items():
-            amounts[_stem(member)] += len(data)
+            stem = member.split(".")[0]
+            amounts["views" if is_view_field(stem) else stem] += len(data)
     return dict(amounts)
-
-
-def _stem(member: str) -> str:
-    """The name of a member in the plot; all views count as one."""
-    stem = member.split(".")[0]
-    return "views" if is_view_field(stem) else stem
 
 
 def _content_lines(reader: ShardReader, present: Sequence[str]) -> Iterator[str]:
@@ -116,12 +104,13 @@ def _content_lines(reader: ShardReader, present: Sequence[str]) -> Iterator[str]
             counts[name][kind] += 1
     sampled = "" if len(chosen) == len(reader) else f", in {len(chosen)} samples"
     for name, counter in counts.items():
-        if counter:
-            yield from _bars(f"{name}{sampled}", dict(counter.most_common()))
+        yield from _bars(f"{name}{sampled}", dict(counter.most_common()))
     if tags:
         yield from _bars(f"tags, of all samples{sampled}", dict(tags.most_common()), of=len(chosen))
     if views := joint_fields(present).get("views"):
-        yield f"  views: {len(views)} of each garment, {_view_size(reader, views[0])}"
+        with opened_picture(reader.read(0, views[:1])[views[0]]) as picture:
+            size = f"{picture.width} x {picture.height} pixels"
+        yield f"  views: {len(views)} of each garment, {size}"
     low, middle, high = np.percentile(panels, [0, 50, 100])
     yield f"  panels: {low:.0f} to {high:.0f}, median {middle:.0f}{sampled}"
     if captions:
@@ -129,15 +118,9 @@ def _content_lines(reader: ShardReader, present: Sequence[str]) -> Iterator[str]
         yield from (f"    {text}" for text in captions[:FIRST_CAPTIONS])
 
 
-def _view_size(reader: ShardReader, member: str) -> str:
-    """Size of the first garment's view."""
-    with opened_picture(reader.read(0, [member])[member]) as picture:
-        return f"{picture.width} x {picture.height} pixels"
-
-
 def _bars(title: str, amounts: Mapping[str, int], *, of: int | None = None) -> Iterator[str]:
     """A text plot: one line for each entry, with its share ``of`` a number, by default of the sum."""
-    total, most = of or sum(amounts.values()), max(amounts.values())
+    total, most = of or sum(amounts.values()), max(amounts.values(), default=0)
     if not total:
         return
     yield f"  {title}:"

@@ -1,10 +1,10 @@
 """Exporting a data set to other formats: HDF5, plain tars, or the published folder layout."""
 
 import io
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -41,12 +41,17 @@ def export(
     if form not in get_args(Form):
         known = get_args(Form)
         raise ConfigError(f"no form {form}: choose from {', '.join(known)}{did_you_mean(form, known)}")
-    export = _to_published if form == "published" else partial(_split, form)
-    return export(Path(dataset), Path(out), split, on_progress)
+    opened = _to_published if form == "published" else partial(_split, form)
+    progress, steps = opened(Path(dataset), Path(out), split)
+    on_progress(progress)
+    for _ in steps:
+        progress = progress.with_made()
+        on_progress(progress)
+    return progress
 
 
-def _split(form: Form, folder: Path, out: Path, split: str | None, on_progress: ProgressCallback) -> Progress:
-    """Export a split as HDF5, or as plain tars."""
+def _split(form: Form, folder: Path, out: Path, split: str | None) -> tuple[Progress, Iterator[Any]]:
+    """How much there is to export of a split as HDF5 or as plain tars, and the export, which yields for each sample."""
     from gcd_dataset.shards import ShardReader
     from gcd_dataset.shards.hdf5 import write_hdf5
 
@@ -58,15 +63,11 @@ def _split(form: Form, folder: Path, out: Path, split: str | None, on_progress: 
     if form == "plain" and is_inside:
         raise ConfigError(f"{out}: in the folder of the data set itself: choose another folder")
     reader = ShardReader(folder, "train" if split is None else split)
-    progress = Progress(len(reader), 0, split=reader.split)
-    on_progress(progress)
-    for _ in write_hdf5(reader, out) if form == "hdf5" else write_plain(reader, out):
-        progress = progress.with_made()
-        on_progress(progress)
-    return progress
+    steps = write_hdf5(reader, out) if form == "hdf5" else write_plain(reader, out)
+    return Progress(len(reader), 0, split=reader.split), steps
 
 
-def _to_published(folder: Path, out: Path, split: str | None, on_progress: ProgressCallback) -> Progress:
+def _to_published(folder: Path, out: Path, split: str | None) -> tuple[Progress, Iterator[Any]]:
     from gcd_dataset.exports.published import export_published, exported_splits
 
     if split is not None:
@@ -75,12 +76,8 @@ def _to_published(folder: Path, out: Path, split: str | None, on_progress: Progr
             "split file"
         )
     readers = exported_splits(folder)
-    progress = Progress(sum(map(len, readers.values())), 0, split=", ".join(readers))
-    on_progress(progress)
-    for _ in export_published(readers, out):
-        progress = progress.with_made()
-        on_progress(progress)
-    return progress
+    total = sum(map(len, readers.values()))
+    return Progress(total, 0, split=", ".join(readers)), export_published(readers, out)
 
 
 def write_plain(reader: "ShardReader", folder: Path | str) -> Generator[int, None, None]:

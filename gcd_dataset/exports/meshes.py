@@ -87,7 +87,7 @@ def seam_vertices(mesh: BoxMesh, pattern: Pattern) -> tuple[Int[np.ndarray, " n"
     return tuple(ordered)
 
 
-METRE = 0.01  # of a centimetre: glTF is in metres
+METRE = 0.01  # of a centimetre: glTF is in metres, USD says what its unit is
 FLOAT, ARRAY_BUFFER = 5126, 34962  # componentType and target of glTF
 ROUGHNESS = 0.9  # of cloth
 GLB_FACTS = "gcd"
@@ -315,7 +315,6 @@ def _part_names(panels: Iterable[str]) -> list[str]:
     return names
 
 
-METRES_PER_UNIT = 0.01
 SEAM_WIDTH = 0.3  # cm
 SEAM_COLOUR = (0.15, 0.15, 0.15)
 LONGEST_NAME = 60  # letters
@@ -346,7 +345,7 @@ def _stage(garment: Draped, tile: float, with_body: bool) -> Any:
     draped_mesh(garment)
     stage = pxr_usd.Stage.CreateInMemory()
     geom.SetStageUpAxis(stage, geom.Tokens.y)
-    geom.SetStageMetersPerUnit(stage, METRES_PER_UNIT)
+    geom.SetStageMetersPerUnit(stage, METRE)
     root = geom.Xform.Define(stage, f"/{_identifiers([key_of(garment)], 'garment')[0]}")
     root.GetPrim().SetCustomDataByKey("pattern", shown(garment.pattern.name))
     stage.SetDefaultPrim(root.GetPrim())

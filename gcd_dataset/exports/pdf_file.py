@@ -324,7 +324,9 @@ def _draw_marks(canvas: Any, sheet: _PaperSheet, page: Page) -> None:
         else:
             canvas.line(left, y, left + width, y)
         canvas.setDash([])
-        _diamond(canvas, x, y)
+        # A registration mark: the half on each page complete each other.
+        _polygon(canvas, np.array([[x - MARK, y], [x, y + MARK], [x + MARK, y], [x, y - MARK]]))
+        _cross(canvas, x, y, MARK)
         if is_glued:
             canvas.saveState()
             canvas.translate(x + (0.5 * OVERLAP if right_by else 2.2), y - (0.5 * OVERLAP if down_by else -2.2))
@@ -342,12 +344,6 @@ def _ink(canvas: Any, colour: RGB) -> None:
     shares = [channel / 255 for channel in colour]
     canvas.setStrokeColorRGB(*shares)
     canvas.setFillColorRGB(*shares)
-
-
-def _diamond(canvas: Any, x: float, y: float) -> None:
-    """A registration mark: the half on each page complete each other."""
-    _polygon(canvas, np.array([[x - MARK, y], [x, y + MARK], [x + MARK, y], [x, y - MARK]]))
-    _cross(canvas, x, y, MARK)
 
 
 def _cross(canvas: Any, x: float, y: float, reach: float) -> None:

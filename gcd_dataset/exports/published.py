@@ -101,14 +101,10 @@ def export_published(readers: Mapping[str, ShardReader], out: Path | str) -> Gen
     """
     if any(garments_in(reader.layout.members) > 1 for reader in readers.values()):
         raise ConfigError(f"{out}: the layout of GarmentCodeData has no outfits: give --plain OUT or --hdf5 FILE")
-    with release_draft(out, _fingerprint(readers)) as draft:
-        yield from _write_garments(readers, draft)
-
-
-def _fingerprint(readers: Mapping[str, ShardReader]) -> str:
-    """A hash of the exported garments and of the writing version: only an export with an equal hash is resumed."""
+    # Only an export of the same garments by the same version is resumed.
     contents = {split: [shard.sha256 for shard in reader.record.shards] for split, reader in readers.items()}
-    return json.dumps({"version": __version__, "contents": contents})
+    with release_draft(out, json.dumps({"version": __version__, "contents": contents})) as draft:
+        yield from _write_garments(readers, draft)
 
 
 def _write_garments(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> Iterator[str]:

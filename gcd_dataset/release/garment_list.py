@@ -45,7 +45,12 @@ class PublishedGarments:
 
     def __init__(self, batches: PublishedBatches, split: str = "train") -> None:
         self.batches, self.split = batches, _split_name(split)
-        self.split_file = None if self.split == ALL else _split_file(batches)
+        self.split_file = None if self.split == ALL else batches.split_file
+        if self.split_file is None and self.split != ALL:
+            raise ShardError(
+                f"{batches.root}: no official split ({SPLIT_FILE}): download it into this folder; "
+                f"split={ALL!r} does not need it"
+            )
         missing: list[str] = []
         self.entries = tuple(self._present(self._listed(), missing))
         self.missing = tuple(missing)
@@ -130,16 +135,6 @@ def _split_name(split: str) -> str:
         nearest = did_you_mean(split, [*SPLIT_NAMES, ALL])
         raise ConfigError(f"split={split!r}: choose from {', '.join(SPLIT_NAMES)}, and {ALL}{nearest}")
     return ALL
-
-
-def _split_file(batches: PublishedBatches) -> Path:
-    """The official split file. Raises ``ShardError`` without one."""
-    if batches.split_file is None:
-        raise ShardError(
-            f"{batches.root}: no official split ({SPLIT_FILE}): download it into this folder; "
-            f"split={ALL!r} does not need it"
-        )
-    return batches.split_file
 
 
 def _designs(path: Path, split: str) -> list[tuple[str, str]]:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from PIL import Image
 
 from gcd_dataset.bodyfiles import measurements_tree
@@ -212,22 +212,16 @@ def _segments(mesh: BoxMesh) -> list[str]:
 
 def _rest_lengths(mesh: BoxMesh) -> dict[tuple[int, int], float]:
     """Flat length [cm] of every edge of the triangles at seams; for an edge on a seam, the shorter of both sides."""
-    faces, corners = _seam_faces(mesh)
+    on_seam = np.zeros(len(mesh.vertices), bool)
+    on_seam[mesh.seams[:, 0]] = True
+    touching = on_seam[mesh.faces].any(axis=1)
     lengths: dict[tuple[int, int], float] = {}
-    for face, corner in zip(faces.tolist(), corners.tolist(), strict=True):
+    for face, corner in zip(mesh.faces[touching].tolist(), mesh.corners[touching].tolist(), strict=True):
         for i, j in ((0, 1), (1, 2), (0, 2)):
             edge = min(face[i], face[j]), max(face[i], face[j])
             flat = float(np.hypot(*(mesh.uv[corner[i]] - mesh.uv[corner[j]])))
             lengths[edge] = min(flat, lengths.get(edge, flat))
     return lengths
-
-
-def _seam_faces(mesh: BoxMesh) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, "n 3"]]:
-    """Faces with a vertex on a seam, and their corners."""
-    on_seam = np.zeros(len(mesh.vertices), bool)
-    on_seam[mesh.seams[:, 0]] = True
-    touching = on_seam[mesh.faces].any(axis=1)
-    return mesh.faces[touching], mesh.corners[touching]
 
 
 def _render(picture: bytes | None) -> bytes:

@@ -86,22 +86,9 @@ def _judged_measures(task: TaskFolder, name: str, true: Pattern) -> Judged:
 
 
 def _judged_drape(task: TaskFolder, name: str, true: Pattern) -> Judged:
-    given = read_arrays(task.inputs / f"{name}.npz", ("vertices", *MESH, "body_faces"))
-    truth = read_arrays(task.truth / f"{name}.npz", ("vertices", "legs_apart"))
-    cloth, skin = (len(mesh_edges(given[key]).ends) for key in ("faces", "body_faces"))
-    compared = truth["vertices"].astype(float), given["faces"], given["uv"][given["corners"]].astype(float)
-
-    def score(path: Path) -> Any:
-        found = _positions(path, compared[0].shape)
-        body, size = wearers_of(str(task.bodies)).wearer(name, legs_apart=bool(truth["legs_apart"]))
-        (crossings,) = crossings_of([DrapeJob(box_mesh_of(given, true), body, size)], [found])
-        return score_drape(found, *compared, crossings)
-
-    return score_drape(np.full(compared[0].shape, np.nan), *compared, (cloth, cloth, skin)), score
-
-
-def _judged_motion(task: TaskFolder, name: str, true: Pattern) -> Judged:
-    given = read_arrays(task.inputs / f"{name}.npz", ("vertices", *MESH, "body_vertices", "body_faces"))
+    """Of a drape (T6), or of a motion (T8)."""
+    moving = ("body_vertices",) if task.task == "T8" else ()
+    given = read_arrays(task.inputs / f"{name}.npz", ("vertices", *MESH, *moving, "body_faces"))
     truth = read_arrays(task.truth / f"{name}.npz", ("vertices", "legs_apart"))
     cloth, skin = (len(mesh_edges(given[key]).ends) for key in ("faces", "body_faces"))
     compared = truth["vertices"].astype(float), given["faces"], given["uv"][given["corners"]].astype(float)
@@ -109,12 +96,16 @@ def _judged_motion(task: TaskFolder, name: str, true: Pattern) -> Judged:
     def score(path: Path) -> Any:
         found, mesh = _positions(path, compared[0].shape), box_mesh_of(given, true)
         body, size = wearers_of(str(task.bodies)).wearer(name, legs_apart=bool(truth["legs_apart"]))
+        job = DrapeJob(mesh, body, size)
+        if not moving:
+            return score_drape(found, *compared, *crossings_of([job], [found]))
         moved = (replace(body, vertices=place.astype(float)) for place in given["body_vertices"][1:])
-        counts = list(motion_crossings(DrapeJob(mesh, body, size), moved, found[1:]))
-        return score_motion(found, *compared, counts)
+        return score_motion(found, *compared, list(motion_crossings(job, moved, found[1:])))
 
-    worst = np.full(compared[0].shape, np.nan)
-    return score_motion(worst, *compared, [(cloth, cloth, skin)] * (len(worst) - 1)), score
+    worst, crossings = np.full(compared[0].shape, np.nan), (cloth, cloth, skin)
+    if not moving:
+        return score_drape(worst, *compared, crossings), score
+    return score_motion(worst, *compared, [crossings] * (len(worst) - 1)), score
 
 
 def _positions(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "*t v 3"]:
@@ -125,7 +116,7 @@ def _positions(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "*t v 3"
 
 
 JUDGES: Mapping[str, Callable[[TaskFolder, str, Pattern], Judged]] = {
-    "T4": _judged_labels, "T5": _judged_measures, "T6": _judged_drape, "T8": _judged_motion
+    "T4": _judged_labels, "T5": _judged_measures, "T6": _judged_drape, "T8": _judged_drape
 }  # fmt: skip
 
 

@@ -146,7 +146,9 @@ def _table(task: str, mini: bool, devices: str, results: Sequence[tuple[Path, di
         budget = (model["garments"], model["minutes"], model["hardware"])
         ranks[budget] += not model.get("baseline")
         rank = "–" if model.get("baseline") else f"{ranks[budget]}"
-        cells = [_cell(figures.get(name)) for name in columns] + [_behind(rows[0]["garments"], row["garments"])]
+        found = [figures.get(name) for name in columns]
+        cells = [f"{one['mean']:.3f} [{one['low']:.3f}, {one['high']:.3f}]" if one else "" for one in found]
+        cells.append(_behind(rows[0]["garments"], row["garments"]))
         facts = [f"{model['garments']:,}", f"{model['minutes']:g}", f"{model['weights']:,}"]
         facts += [_plain(model["hardware"]), str(row["seeds"])]
         yield f"| {' | '.join([rank, _named(model), *cells, *facts])} |"
@@ -169,10 +171,6 @@ def _pooled(seeds: Sequence[Mapping[str, Any]], columns: Sequence[str], headline
             found[garment["name"]].append(garment[headline])
     garments = {name: float(np.mean(values)) for name, values in found.items()}
     return {"model": seeds[0]["model"], "figures": figures, "garments": garments, "seeds": len(seeds)}
-
-
-def _cell(figure: Mapping[str, float] | None) -> str:
-    return "" if figure is None else f"{figure['mean']:.3f} [{figure['low']:.3f}, {figure['high']:.3f}]"
 
 
 def _behind(best: Mapping[str, float], own: Mapping[str, float]) -> str:

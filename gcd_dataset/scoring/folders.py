@@ -95,7 +95,8 @@ def score(
     if task:
         task.require_frozen()
         truth, bodies = task.truth, bodies or str(task.bodies)
-        drapes = drapes and _of_task(drapes, task)
+        if drapes and task.task in INPUT_DRAPES:  # its inputs are points, with which drapes are compared
+            drapes = Drapes(task.inputs, INPUT_DRAPES[task.task], drapes.resolution, drapes.device)
     files = true_files(truth)
     hashes = {"truth": _hash_of(files)}
     settings: dict[str, Any] = {"gcd_dataset": __version__, "numpy": np.__version__, "hashes": hashes}
@@ -150,13 +151,6 @@ def _score_arrays(
         remarks.append(f"{task.inputs}: {left} of {len(files)} garments have no input, and no score")
     scored = (score_arrays(task, name, read_true(path), found.get(name)) for name, path in sorted(asked.items()))
     return Scores(tuple(shown(scored, len(asked), "scored")), settings, tuple(remarks))
-
-
-def _of_task(drapes: Drapes, task: TaskFolder) -> Drapes:
-    """The drapes of a task: compared with its inputs where these are points."""
-    if task.task not in INPUT_DRAPES:
-        return drapes
-    return Drapes(task.inputs, INPUT_DRAPES[task.task], drapes.resolution, drapes.device)
 
 
 def _inputs(folder: Path | None, names: Iterable[str]) -> dict[str, Path]:

@@ -121,7 +121,8 @@ def score_garment(
     cd, remarks = box_mesh_distance(predicted, true, spacing=spacing)
     values = asdict(score_pattern(predicted, true)) | {"boxmesh_cd": cd}
     if not values["valid"]:
-        remarks = (*remarks, f"not valid: {first_fault(predicted)}")
+        faults = (str(fault) for fault in check_pattern(predicted) if fault.severity is Severity.ERROR)
+        remarks = (*remarks, f"not valid: {next(faults, 'a panel is smaller than 1 cm²')}")
     return Scored(name, kind_of(true), true, predicted, values, remarks=remarks)
 
 
@@ -158,12 +159,6 @@ def kind_of(pattern: Pattern) -> str:
     if any("skirt" in name and "cuff" not in name for name in names):
         return "dress" if upper else "skirt"
     return "top" if upper else "other"
-
-
-def first_fault(pattern: Pattern) -> str:
-    """The first reason why a pattern cannot be sewn."""
-    faults = (str(fault) for fault in check_pattern(pattern) if fault.severity is Severity.ERROR)
-    return next(faults, "a panel is smaller than 1 cm²")
 
 
 def require_size(pattern: Pattern) -> None:

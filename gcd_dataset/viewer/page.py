@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from gcd_dataset.curves import signed_area
 from gcd_dataset.generator.lay_plan import PALETTE, PLAIN_EDGE, LayPlan, SheetPanel, lay_out, seam_colour
 from gcd_dataset.meshedges import mesh_edges
-from gcd_dataset.records import MOTION_STEP, BoxMesh, EdgeRef, GarmentMotion, Outcome, Pattern, Seam
+from gcd_dataset.records import MOTION_STEP, BoxMesh, EdgeRef, GarmentMotion, Outcome, Pattern
 from gcd_dataset.viewer.content import Content
 from gcd_dataset.viewer.maps import SCALES
 from gcd_dataset.viewer.notebook import asset, inline_svg, picture, script_data, table
@@ -189,17 +189,13 @@ def _seam_data(pattern: Pattern) -> Iterator[dict[str, Any]]:
     for i, (seam, ratio) in enumerate(zip(pattern.seams, pattern.gather_ratios(), strict=True)):
         sides = [_side(ref, lengths.get(ref.panel, [])) for ref in (seam.left, seam.right)]
         gathers = "" if 0.98 < ratio < 1.02 else f" · gathered {max(ratio, 1 / ratio):.2f} : 1"
+        part = "" if seam.joined in ((0.0, 0.0), (0.0, 1.0)) else " from {:.0%} to {:.0%}".format(*seam.joined)
+        closure = "" if seam.is_plain else f" · {seam.closure}{part}"
         yield {
-            "text": f"seam {i} · {sides[0]} to {sides[1]}{gathers}{_closure(seam)}",
+            "text": f"seam {i} · {sides[0]} to {sides[1]}{gathers}{closure}",
             "colour": seam_colour(i),
             "panels": [number.get(ref.panel, -1) for ref in (seam.left, seam.right)],
         }
-
-
-def _closure(seam: Seam) -> str:
-    """How a seam is joined, in words; empty for one that is sewn from end to end."""
-    part = "" if seam.joined in ((0.0, 0.0), (0.0, 1.0)) else " from {:.0%} to {:.0%}".format(*seam.joined)
-    return "" if seam.is_plain else f" · {seam.closure}{part}"
 
 
 def _side(ref: EdgeRef, lengths: Sequence[float]) -> str:

@@ -68,7 +68,8 @@ class Gallery:
             given = {"start": self._start, "count": len(self._album), "beside": self._album.beside}
             return _html("browse.html", self._album.title, given)
         if path == "/facets":
-            return _json(self._facets())
+            album, is_reading = self._album, self._reading is None or not self._reading.done()
+            return _json({**asdict(album.facets()), "known": album.known, "count": len(album), "reading": is_reading})
         if path == "/find":
             return _json(self._found(query))
         if path == "/links":
@@ -99,11 +100,6 @@ class Gallery:
                 futures.append(self._reading)
         running = [future for future in futures if not future.done()]  # ``wait`` takes cancelled ones for running
         return not wait(running, timeout=LONGEST_WAIT).not_done
-
-    def _facets(self) -> dict[str, Any]:
-        album = self._album
-        is_reading = self._reading is None or not self._reading.done()
-        return asdict(album.facets()) | {"known": album.known, "count": len(album), "reading": is_reading}
 
     def _read_tags(self) -> None:
         """Begin to read tags, unless a thread reads them."""
@@ -194,16 +190,12 @@ def serve(
 
 def _announce(address: str) -> None:
     print(f"{address}  (Ctrl-C ends)", flush=True)
-    if has_display():  # by a private file: other users see the arguments of the browser's process
+    if sys.platform == "darwin" or environ.get("DISPLAY") or environ.get("WAYLAND_DISPLAY"):
+        # By a private file: other users see the arguments of the browser's process.
         with tempfile.NamedTemporaryFile("w", prefix="gcd_show_", suffix=".html", delete=False) as file:
             file.write(f'<meta http-equiv="refresh" content="0; url={address}">')
         atexit.register(Path(file.name).unlink, missing_ok=True)
         webbrowser.open(Path(file.name).as_uri())
-
-
-def has_display() -> bool:
-    """Whether a browser can be opened on this machine."""
-    return sys.platform == "darwin" or bool(environ.get("DISPLAY") or environ.get("WAYLAND_DISPLAY"))
 
 
 class _Server(ThreadingHTTPServer):
