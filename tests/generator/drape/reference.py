@@ -84,7 +84,7 @@ def bending_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], fabric: Fabric) -
     return energy
 
 
-def segments_cross(*points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+def segments_cross(*points: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, " n"]:
     """Whether segments pq cross triangles abc, by the signs of five volumes."""
     p, q, a, b, c = points
     apart = _volume(a, b, c, p) * _volume(a, b, c, q) <= 0
@@ -92,7 +92,7 @@ def segments_cross(*points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     return apart & ((sides >= 0).all(axis=0) | (sides <= 0).all(axis=0))
 
 
-def _volume(*points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+def _volume(*points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, " n"]:
     a, b, c, d = points
     return (np.cross(b - a, c - a) * (d - a)).sum(axis=1)
 

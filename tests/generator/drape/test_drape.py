@@ -38,10 +38,8 @@ def on_a_ball(columns: int, *, labels: dict[str, np.ndarray] | None = None) -> D
     """A square cloth above a ball with its top at the waist of ``SIZE``."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=12.0)
     ball.apply_translation([0.0, SIZE.waist_level - 12.0, 0.0])
-    half = 2.0 * columns / 2
-    mesh: BoxMesh = patch(
-        columns, columns, spacing=2.0, place=LYING, origin=(-half, SIZE.waist_level + 1.0, half), labels=labels
-    )
+    corner = (-columns, SIZE.waist_level + 1.0, columns)
+    mesh = patch(columns, columns, spacing=2.0, place=LYING, origin=corner, labels=labels)
     return DrapeJob(mesh, body_from(ball), SIZE)
 
 
@@ -449,9 +447,8 @@ def test_a_ring_round_both_ankles_has_slid_off_and_a_sock_has_not() -> None:
     """Also if the panels were placed there."""
     ring = tube(36, 3, radius=11.5, spacing=2.0, height=10.0)
     sock = replace(ring, vertices=ring.vertices * [0.4, 1.0, 0.4] + [10.0, 0.0, 0.0])
-    assert (
-        off_body(DrapeJob(ring, far_ball(), SIZE), ring.vertices) == "its top lies at 16 cm, below the knees at 43 cm"
-    )
+    said = off_body(DrapeJob(ring, far_ball(), SIZE), ring.vertices)
+    assert said == "its top lies at 16 cm, below the knees at 43 cm"
     assert not off_body(DrapeJob(sock, far_ball(), SIZE), sock.vertices)
 
 
@@ -471,15 +468,14 @@ def test_a_ring_at_rest_round_the_feet_has_slid_off() -> None:
 
 def test_a_neckline_belongs_above_the_armpits() -> None:
     """At 131 cm for this size; and its mean above the waist, at 107 cm."""
-    dress = patch(
-        5, 5, spacing=2.0, origin=(0.0, SIZE.waist_level + 20.0, 0.0), labels={"left_collar": np.arange(30, 36)}
-    )
-    job = DrapeJob(dress, far_ball(), SIZE)
-    assert not off_body(job, dress.vertices)
-    assert (
-        off_body(job, dress.vertices - [0.0, 10.0, 0.0]) == "its neckline lies at 127 cm, below the armpits at 131 cm"
-    )
-    assert off_body(job, dress.vertices - [0.0, 40.0, 0.0]) == "its neckline lies at 97 cm, below the waist at 107 cm"
+    labels, origin = {"left_collar": np.arange(30, 36)}, (0.0, SIZE.waist_level + 20.0, 0.0)
+    dress = patch(5, 5, spacing=2.0, origin=origin, labels=labels)
+    for lower, said in (
+        (0.0, ""),
+        (10.0, "its neckline lies at 127 cm, below the armpits at 131 cm"),
+        (40.0, "its neckline lies at 97 cm, below the waist at 107 cm"),
+    ):
+        assert off_body(DrapeJob(dress, far_ball(), SIZE), dress.vertices - [0.0, lower, 0.0]) == said
 
 
 @pytest.mark.parametrize("labels", [{}, {"left_collar": np.arange(36)}, {"lower_interface": np.arange(36)}])
