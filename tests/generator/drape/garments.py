@@ -22,6 +22,7 @@ from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Body, BodyPart, BoxMesh, Drape, Measurements, Outcome
 from tests.generator.drape.reference import segments_cross
+from tests.generator.mesh.shapes import directed_edges
 
 SIDES = {"left": 1.0, "right": -1.0}
 LIMBS = {
@@ -67,7 +68,7 @@ class Worn:
     def most_stretched(self, rim: Int[np.ndarray, " n"]) -> float:
         """Largest length over flat length of the edges of a rim."""
         mesh = self.mesh
-        sides = np.concatenate([mesh.corners[:, [0, 1]], mesh.corners[:, [1, 2]], mesh.corners[:, [2, 0]]])
+        sides = directed_edges(mesh.corners)
         flat = np.linalg.norm(mesh.uv[sides[:, 1]] - mesh.uv[sides[:, 0]], axis=1)
         known = dict(zip(map(tuple, mesh.uv_vertex[sides].tolist()), flat.tolist(), strict=True))
         here, ends = self.drape.vertices[rim], zip(rim.tolist(), np.roll(rim, -1).tolist(), strict=True)
@@ -156,8 +157,7 @@ class Axis:
 
 def rims(faces: Int[np.ndarray, "f 3"]) -> list[Int[np.ndarray, " n"]]:
     """The closed rings of border edges, each as its vertices in order."""
-    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    whole = {tuple(side) for side in sides.tolist()}
+    whole = set(map(tuple, directed_edges(faces).tolist()))
     following: dict[int, list[int]] = {}
     for a, b in sorted(whole):
         if (b, a) not in whole:

@@ -297,14 +297,14 @@ def test_cloth_collides_with_the_convex_hull_of(part: Callable[[Body], Float[np.
     assert (distance[tuple(voxels[near].T)] <= outside + 0.05).all()
 
 
-CORNER_FIRST = np.array([[0.1, 0.1], [0.7, -0.7], [0.7, 0.7]])
 CONFIG = DrapeConfig(untangling_steps=60)
 
 
 def pierced() -> DrapeJob:
     """A sheet that the corner of another sheet pierces."""
-    sheet = patch(12, 12, origin=(-6.0, 94.0, 0.0))
-    return DrapeJob(joined(sheet, patch(6, 6, place=CORNER_FIRST, origin=(0.0, 100.0, -1.7))), far_ball(), SIZE)
+    corner_first = np.array([[0.1, 0.1], [0.7, -0.7], [0.7, 0.7]])
+    other = patch(6, 6, place=corner_first, origin=(0.0, 100.0, -1.7))
+    return DrapeJob(joined(patch(12, 12, origin=(-6.0, 94.0, 0.0)), other), far_ball(), SIZE)
 
 
 def clean() -> DrapeJob:

@@ -400,16 +400,12 @@ def on_a_table(mesh: BoxMesh) -> DrapeJob:
     return DrapeJob(mesh, table(), SIZE)
 
 
-def beside(mesh: BoxMesh) -> BoxMesh:
-    return replace(mesh, vertices=mesh.vertices + [80.0, 0.0, 0.0])
-
-
 SHEET = patch(16, 16, place=LYING, origin=(-8.0, 72.0, 8.0))
 
 
 def test_a_garment_beside_the_body_falls_below_the_floor() -> None:
     """Equally alone and in a batch; the drape ends as soon as every vertex is below the floor."""
-    falls, stays = on_a_table(beside(SHEET)), on_a_table(SHEET)
+    falls, stays = on_a_table(replace(SHEET, vertices=SHEET.vertices + [80.0, 0.0, 0.0])), on_a_table(SHEET)
     together = drape_batch([stays, falls], device="cpu")
     assert [drape.outcome for drape in together] == [Outcome.SETTLED, Outcome.FELL]
     assert drape_batch([falls], device="cpu") == [together[1]]

@@ -235,14 +235,18 @@ def shifted(pattern: Pattern, *by: float) -> Pattern:
     return replace(pattern, panels=tuple(moved(panel, np.array(by)) for panel in pattern.panels))
 
 
-def nameless(pattern: Pattern) -> Pattern:
-    names = {panel.name: f"piece_{number}" for number, panel in enumerate(pattern.panels)}
-    panels = tuple(replace(panel, name=names[panel.name]) for panel in bared(pattern).panels)
+def renamed(pattern: Pattern, prefix: str) -> Pattern:
+    names = {panel.name: f"{prefix}_{number}" for number, panel in enumerate(pattern.panels)}
+    panels = tuple(replace(panel, name=names[panel.name]) for panel in pattern.panels)
     seams = tuple(
-        Seam(EdgeRef(names[s.left.panel], s.left.edge), EdgeRef(names[s.right.panel], s.right.edge), s.right_wrong)
+        replace(s, left=EdgeRef(names[s.left.panel], s.left.edge), right=EdgeRef(names[s.right.panel], s.right.edge))
         for s in pattern.seams
     )
     return replace(pattern, panels=panels, seams=seams)
+
+
+def nameless(pattern: Pattern) -> Pattern:
+    return renamed(bared(pattern), "piece")
 
 
 @pytest.fixture(scope="module")
@@ -276,14 +280,8 @@ def test_a_frame_at_the_pelvis_at_the_neck_or_beside_the_body_is_recognised(
 
 def side_by_side(pattern: Pattern) -> Pattern:
     """One for each leg."""
-    pair = [shifted(pattern, x, 0, 0) for x in (-10.0, 10.0)]
-    panels = tuple(replace(panel, name=f"{panel.name}_{n}") for n, one in enumerate(pair) for panel in one.panels)
-    seams = tuple(
-        Seam(EdgeRef(f"{seam.left.panel}_{n}", seam.left.edge), EdgeRef(f"{seam.right.panel}_{n}", seam.right.edge))
-        for n, one in enumerate(pair)
-        for seam in one.seams
-    )
-    return Pattern("pair", panels, seams)
+    right, left = (renamed(shifted(pattern, x, 0, 0), side) for x, side in ((-10.0, "right"), (10.0, "left")))
+    return Pattern("pair", right.panels + left.panels, right.seams + left.seams)
 
 
 def test_garments_of_other_kinds_stay_where_they_are() -> None:

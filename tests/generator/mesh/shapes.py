@@ -45,12 +45,6 @@ def tube() -> Pattern:
     return sewn(front, back, seams=(seam(("front", 1), ("back", 3)), seam(("front", 3), ("back", 1))))
 
 
-def circle(radius: float, spacing: float) -> Float[np.ndarray, "n 2"]:
-    """Points of a circle, counter-clockwise, at most ``spacing`` apart."""
-    angles = np.arange(0, 2 * np.pi, 2 * np.pi / np.ceil(2 * np.pi * radius / spacing))
-    return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-
-
 def loop(corners: list[tuple[float, float]], spacing: float) -> Float[np.ndarray, "n 2"]:
     """Points along a polygon, at most ``spacing`` apart."""
     ends = np.array(corners, float)
