@@ -86,9 +86,9 @@ def test_a_panel_that_touches_itself_or_has_a_hole_is_refused() -> None:
     middle = np.linalg.norm(fine.uv - 10.0, axis=1).argmin()
     around = np.flatnonzero((fine.corners == middle).any(axis=1))
     shared = [len(np.intersect1d(fine.corners[around[0]], fine.corners[other])) for other in around]
-    cuts = [([around[0], other], "touches itself at a point") for other in around[np.array(shared) == 1]]
+    cuts = [(np.array([around[0], other]), "touches itself at a point") for other in around[np.array(shared) == 1]]
     assert len(cuts) == 3
-    for left, fault in (*cuts, (np.setdiff1d(np.arange(len(fine.faces)), around), "ring has a hole")):
+    for left, fault in [*cuts, (np.setdiff1d(np.arange(len(fine.faces)), around), "ring has a hole")]:
         cut = replace(fine, faces=fine.faces[left], corners=fine.corners[left], panel_id=fine.panel_id[left])
         with pytest.raises(MeshError, match=fault):
             coarsen(cut)
