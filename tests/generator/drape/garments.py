@@ -4,9 +4,10 @@ A limb is reduced to its axis, the straight line that fits its skin. A rim is a 
 a sleeve, an armhole, a hem.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import shapely
@@ -16,10 +17,12 @@ from scipy.spatial import cKDTree
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.drape import DrapeJob, drape_batch
 from gcd_dataset.generator.drape.moving import Motion
-from gcd_dataset.generator.garments import GarmentDesign, draw_garment
+from gcd_dataset.generator.garments import GarmentDesign, design_from_dict, draw_garment
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Body, BodyPart, BoxMesh, Drape, Measurements, Outcome
+from tests.generator.drape.reference import segments_cross
+from tests.generator.mesh.shapes import directed_edges
 
 SIDES = {"left": 1.0, "right": -1.0}
 LIMBS = {
@@ -65,7 +68,7 @@ class Worn:
     def most_stretched(self, rim: Int[np.ndarray, " n"]) -> float:
         """Largest length over flat length of the edges of a rim."""
         mesh = self.mesh
-        sides = np.concatenate([mesh.corners[:, [0, 1]], mesh.corners[:, [1, 2]], mesh.corners[:, [2, 0]]])
+        sides = directed_edges(mesh.corners)
         flat = np.linalg.norm(mesh.uv[sides[:, 1]] - mesh.uv[sides[:, 0]], axis=1)
         known = dict(zip(map(tuple, mesh.uv_vertex[sides].tolist()), flat.tolist(), strict=True))
         here, ends = self.drape.vertices[rim], zip(rim.tolist(), np.roll(rim, -1).tolist(), strict=True)
@@ -105,6 +108,12 @@ def wear(design: GarmentDesign, *, cut_for: Measurements | None = None, spacing:
     return Worn(mesh, drape, body)
 
 
+def job_of(design: Mapping[str, Any], *, spacing: float, legs_apart: bool = False) -> DrapeJob:
+    """A garment with these sections of its design, on the neutral body."""
+    body, size = neutral(legs_apart=legs_apart)
+    return DrapeJob(build_box_mesh(draw_garment(size, design_from_dict(design)), spacing=spacing), body, size)
+
+
 @dataclass(frozen=True)
 class Axis:
     """The axis of a limb, from the trunk outward [cm]."""
@@ -139,14 +148,7 @@ class Axis:
 
     def pierces(self, triangles: Float[np.ndarray, "f 3 3"]) -> int:
         """Number of triangles that the axis crosses between the limb's start and its tip."""
-        a, b, c = triangles.transpose(1, 0, 2)
-        normal, direction = np.cross(b - a, c - a), self.end - self.start
-        steep = normal @ direction
-        steep[steep == 0.0] = np.inf  # parallel to the axis
-        t = ((a - self.start) * normal).sum(axis=1) / steep
-        hit = self.start + t[:, None] * direction
-        inside = [(np.cross(v - u, hit - u) * normal).sum(axis=1) >= 0.0 for u, v in ((a, b), (b, c), (c, a))]
-        return int((np.all(inside, axis=0) & (t > 0.0) & (t <= 1.0)).sum())
+        return int(segments_cross(self.start, self.end, *triangles.transpose(1, 0, 2)).sum())
 
     @property
     def _along(self) -> Float[np.ndarray, "3"]:
@@ -155,8 +157,7 @@ class Axis:
 
 def rims(faces: Int[np.ndarray, "f 3"]) -> list[Int[np.ndarray, " n"]]:
     """The closed rings of border edges, each as its vertices in order."""
-    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    whole = {tuple(side) for side in sides.tolist()}
+    whole = set(map(tuple, directed_edges(faces).tolist()))
     following: dict[int, list[int]] = {}
     for a, b in sorted(whole):
         if (b, a) not in whole:

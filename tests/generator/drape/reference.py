@@ -1,7 +1,7 @@
 """NumPy reference of the drape's energies and intersection tests, by definition; tests compare the kernels to it."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.generator.drape.fabrics import DYNE_CM, DYNES_PER_CM, POISSON, Fabric, shear_stiffness
 from gcd_dataset.generator.drape.kernels.sheet import SLIVER
@@ -84,32 +84,17 @@ def bending_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], fabric: Fabric) -
     return energy
 
 
-def closest_on_triangle(p: Float[np.ndarray, "3"], corners: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
-    """The point of a triangle nearest to ``p`` [cm]: the best candidate on its interior and its three sides."""
-    a, b, c = corners
-    inside, *_ = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), p - a, rcond=None)
-    candidates = []
-    if inside.min() >= 0 and inside.sum() <= 1:
-        candidates.append(a + inside[0] * (b - a) + inside[1] * (c - a))
-    for s, e in ((a, b), (b, c), (c, a)):
-        t = np.clip((p - s) @ (e - s) / ((e - s) @ (e - s)), 0, 1)
-        candidates.append(s + t * (e - s))
-    return min(candidates, key=lambda q: float(np.linalg.norm(p - q)))
+def segments_cross(*points: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, " n"]:
+    """Whether segments pq cross triangles abc, by the signs of five volumes."""
+    p, q, a, b, c = points
+    apart = _volume(a, b, c, p) * _volume(a, b, c, q) <= 0
+    sides = np.sign([_volume(p, q, a, b), _volume(p, q, b, c), _volume(p, q, c, a)])
+    return apart & ((sides >= 0).all(axis=0) | (sides <= 0).all(axis=0))
 
 
-def segment_crosses_triangle(
-    p: Float[np.ndarray, "3"], q: Float[np.ndarray, "3"], corners: Float[np.ndarray, "3 3"]
-) -> bool:
-    """Whether segment pq intersects the triangle, by the signs of five tetrahedra."""
-    a, b, c = corners
-
-    def volume(i: np.ndarray, j: np.ndarray, k: np.ndarray, m: np.ndarray) -> float:
-        return float(np.linalg.det(np.stack([j - i, k - i, m - i])))
-
-    if volume(p, a, b, c) * volume(q, a, b, c) > 0:
-        return False
-    around = [volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)]
-    return min(around) >= 0 or max(around) <= 0
+def _volume(*points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, " n"]:
+    a, b, c, d = points
+    return (np.cross(b - a, c - a) * (d - a)).sum(axis=1)
 
 
 def _cross(a: Float[np.ndarray, "*n 2"], b: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:

@@ -20,10 +20,10 @@ from gcd_dataset.generator.drape.outcome import untangle
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import Body, BodyPart, EdgeRole, Measurements
 from tests.generator.drape.probes import crossing_kernel, nearest_kernel
-from tests.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
+from tests.generator.drape.reference import segments_cross
+from tests.generator.drape.test_drape import LYING, on_a_table
 from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube, waited
 
-LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])  # the patch's right side looks up
 SLOPE = trimesh.transformations.rotation_matrix(np.radians(25.0), [0, 0, 1])
 INTERNAL = BodyPart.INTERNAL.value
 QUICK = DrapeConfig(
@@ -36,7 +36,7 @@ def test_nearest_point_of_a_triangle() -> None:
     weights = wp.zeros(len(points), dtype=wp.vec3, device="cpu")
     wp.launch(nearest_kernel, len(points), [wp.array(points, dtype=wp.vec3, device="cpu"), weights], device="cpu")
     found = np.einsum("nk,nkd->nd", weights.numpy(), points[:, 1:])
-    expected = np.array([closest_on_triangle(p[0].astype(float), p[1:].astype(float)) for p in points])
+    expected = trimesh.triangles.closest_point(points[:, 1:].astype(float), points[:, 0].astype(float))
     assert np.abs(found - expected).max() < 1e-3
 
 
@@ -44,9 +44,9 @@ def test_segment_through_a_triangle() -> None:
     points = np.random.default_rng(1).standard_normal((200, 5, 3)).astype(np.float32)
     crosses = wp.zeros(len(points), dtype=wp.bool, device="cpu")
     wp.launch(crossing_kernel, len(points), [wp.array(points, dtype=wp.vec3, device="cpu"), crosses], device="cpu")
-    expected = [segment_crosses_triangle(p[0], p[1], p[2:]) for p in points.astype(float)]
+    expected = segments_cross(*points.astype(float).transpose(1, 0, 2))
     assert 8 < sum(expected) < 192
-    assert list(crosses.numpy()) == expected
+    assert np.array_equal(crosses.numpy(), expected)
 
 
 @settings(max_examples=3, deadline=None)
@@ -155,9 +155,7 @@ def test_a_tight_band_holds_on_a_pillar_at_any_spacing(spacing: float, friction:
     Friction holds it above density · g · r / (k e) = 0.05. The sides of a coarse band touch the pillar in their middle.
     """
     radius = 12.0
-    pillar = trimesh.creation.cylinder(radius=radius, height=120.0, sections=96)
-    pillar.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    pillar.apply_translation([0.0, 60.0, 0.0])
+    pillar = trimesh.creation.cylinder(radius=radius, segment=[[0.0, 0.0, 0.0], [0.0, 120.0, 0.0]], sections=96)
     body = body_from(pillar.subdivide().subdivide())
     girth = 2 * np.pi * (radius + QUICK.body_gap) / 1.05
     columns = round(girth / spacing)
@@ -168,23 +166,19 @@ def test_a_tight_band_holds_on_a_pillar_at_any_spacing(spacing: float, friction:
 
 
 def test_cloth_keeps_its_gap_from_the_skin() -> None:
-    table = trimesh.creation.box(extents=[40.0, 20.0, 40.0])
-    table.apply_translation([0.0, 10.0, 0.0])
-    mesh = patch(10, 10, place=LYING, origin=(-5.0, 22.0, 5.0))
-    solver = Solver(build_model([DrapeJob(mesh, body_from(table), SIZE)], QUICK, "cpu"), QUICK)
+    mesh = patch(10, 10, place=LYING, origin=(-5.0, 72.0, 5.0))
+    solver = Solver(build_model([on_a_table(mesh)], QUICK, "cpu"), QUICK)
     solver.run_for(0.5)
-    heights = solver.state.x.numpy()[:, 1] - 20.0
+    heights = solver.state.x.numpy()[:, 1] - 70.0
     assert np.abs(heights - QUICK.body_gap).max() < 0.05
     assert solver.body_crossings()[0] == 0
 
 
 def test_cloth_lies_on_cloth_at_its_thickness() -> None:
-    table = trimesh.creation.box(extents=[40.0, 20.0, 40.0])
-    table.apply_translation([0.0, 10.0, 0.0])
-    lower = patch(10, 10, place=LYING, origin=(-5.0, 20.4, 5.0))
-    upper = patch(6, 6, spacing=1.1, place=LYING, origin=(-3.2, 22.5, 3.1))
+    lower = patch(10, 10, place=LYING, origin=(-5.0, 70.4, 5.0))
+    upper = patch(6, 6, spacing=1.1, place=LYING, origin=(-3.2, 72.5, 3.1))
     fabric = Fabric(thickness=0.3)
-    job = DrapeJob(joined(lower, upper), body_from(table), SIZE, fabric)
+    job = replace(on_a_table(joined(lower, upper)), fabric=fabric)
     solver = Solver(build_model([job], QUICK, "cpu"), QUICK)
     solver.run_for(0.6)
     heights = solver.state.x.numpy()[:, 1]
@@ -227,29 +221,18 @@ def test_the_contact_search_lists_all_near_pairs() -> None:
     found = {tuple(pair) for pair in contacts.points.numpy()[: contacts.point_count.numpy()[0]].tolist()}
     assert len(found) == contacts.point_count.numpy()[0], "a pair is listed twice"
     sheet = np.arange(len(mesh.vertices)) >= len(lower.vertices)
-    # Triangles of these sheets lie within 3 cm of their first corner, which prefilters the pairs.
-    away = np.linalg.norm(mesh.vertices[:, None] - mesh.vertices[mesh.faces[:, 0]], axis=2)
-    sides = np.linalg.norm(mesh.vertices[mesh.faces] - np.roll(mesh.vertices[mesh.faces], 1, axis=1), axis=2)
-    assert sides.max() < 3.0
-    near = {
-        (i, *face)
-        for i, point in enumerate(mesh.vertices)
-        for row, face in enumerate(mesh.faces.tolist())
-        if sheet[i] != sheet[face[0]]
-        and away[i, row] < 3.0 + config.contact_margin
-        and np.linalg.norm(point - closest_on_triangle(point, mesh.vertices[face])) < config.contact_margin - 1e-4
-    }
+    point, face = np.nonzero(sheet[:, None] != sheet[mesh.faces[:, 0]])
+    nearest = trimesh.triangles.closest_point(mesh.vertices[mesh.faces[face]], mesh.vertices[point])
+    close = np.linalg.norm(mesh.vertices[point] - nearest, axis=1) < config.contact_margin - 1e-4
+    near = set(map(tuple, np.column_stack([point, mesh.faces[face]])[close].tolist()))
     assert len(near) > 40
     assert near <= found
 
 
 def test_crossed_sheets_separate() -> None:
     """Shortening the intersection contour pulls a corner back out of the sheet that it pierces."""
-    sheet = patch(12, 12, origin=(-6.0, 94.0, 0.0))
-    corner_first = np.array([[0.1, 0.1], [0.7, -0.7], [0.7, 0.7]])
-    other = patch(6, 6, place=corner_first, origin=(0.0, 100.0, -1.7))
     config = DrapeConfig(sewing_time=1e6)
-    solver = Solver(build_model([DrapeJob(joined(sheet, other), far_ball(), SIZE)], config, "cpu"), config)
+    solver = Solver(build_model([pierced()], config, "cpu"), config)
     assert solver.self_crossings()[0] > 3
     for _ in range(60):
         solver.frame()
@@ -279,9 +262,7 @@ def test_cloth_that_has_passed_through_returns_to_its_side(share: float) -> None
 
 def test_the_first_count_of_crossings_is_the_first_minimum() -> None:
     """Also for a garment whose hold ended before it joined its batch, as after a coarse pass."""
-    upright = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
-    lying = patch(6, 6, place=LYING, origin=(-3.0, 50.3, 3.0))
-    mesh = joined(lying, patch(6, 6, place=upright, origin=(-2.7, 47.1, 0.2)))
+    mesh = joined(patch(6, 6, place=LYING, origin=(-3.0, 50.3, 3.0)), patch(6, 6, origin=(-2.7, 47.1, 0.2)))
     solver = Solver(build_model([DrapeJob(mesh, far_ball(), SIZE)], QUICK, "cpu"), QUICK)
     solver.state.held.zero_()
     found = solver.self_crossings()[0]
@@ -316,14 +297,14 @@ def test_cloth_collides_with_the_convex_hull_of(part: Callable[[Body], Float[np.
     assert (distance[tuple(voxels[near].T)] <= outside + 0.05).all()
 
 
-CORNER_FIRST = np.array([[0.1, 0.1], [0.7, -0.7], [0.7, 0.7]])
 CONFIG = DrapeConfig(untangling_steps=60)
 
 
 def pierced() -> DrapeJob:
     """A sheet that the corner of another sheet pierces."""
-    sheet = patch(12, 12, origin=(-6.0, 94.0, 0.0))
-    return DrapeJob(joined(sheet, patch(6, 6, place=CORNER_FIRST, origin=(0.0, 100.0, -1.7))), far_ball(), SIZE)
+    corner_first = np.array([[0.1, 0.1], [0.7, -0.7], [0.7, 0.7]])
+    other = patch(6, 6, place=corner_first, origin=(0.0, 100.0, -1.7))
+    return DrapeJob(joined(patch(12, 12, origin=(-6.0, 94.0, 0.0)), other), far_ball(), SIZE)
 
 
 def clean() -> DrapeJob:

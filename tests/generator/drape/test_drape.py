@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import ConfigError
@@ -28,19 +28,18 @@ from gcd_dataset.generator.pipeline import prepare, sample_fabric
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Body, BodyPart, BoxMesh, Drape, Outcome
 from tests.generator.drape.garments import wear
+from tests.generator.drape.reference import segments_cross
 from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube, waited
 
-LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])
+LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])  # the patch's right side looks up
 
 
 def on_a_ball(columns: int, *, labels: dict[str, np.ndarray] | None = None) -> DrapeJob:
     """A square cloth above a ball with its top at the waist of ``SIZE``."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=12.0)
     ball.apply_translation([0.0, SIZE.waist_level - 12.0, 0.0])
-    half = 2.0 * columns / 2
-    mesh: BoxMesh = patch(
-        columns, columns, spacing=2.0, place=LYING, origin=(-half, SIZE.waist_level + 1.0, half), labels=labels
-    )
+    corner = (-columns, SIZE.waist_level + 1.0, columns)
+    mesh = patch(columns, columns, spacing=2.0, place=LYING, origin=corner, labels=labels)
     return DrapeJob(mesh, body_from(ball), SIZE)
 
 
@@ -133,9 +132,8 @@ def test_an_error_of_the_jobs_is_raised_after_the_drapes_before_it(at_once: int)
 def on_a_spike() -> DrapeJob:
     """A cloth that starts pierced by a spike on a ball, which is thinner than the voxels of the body's field."""
     job = on_a_ball(6)
-    spike = trimesh.creation.cylinder(radius=0.2, height=16.0, sections=6)
-    spike.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1.0, 0.0, 0.0]))
-    spike.apply_translation([1.3, SIZE.waist_level - 1.0, 0.7])
+    ends = np.array([1.3, SIZE.waist_level - 1.0, 0.7]) + [[0.0, -8.0, 0.0], [0.0, 8.0, 0.0]]
+    spike = trimesh.creation.cylinder(radius=0.2, segment=ends, sections=6)
     ball = trimesh.Trimesh(job.body.vertices, job.body.faces, process=False)
     return replace(job, body=body_from(trimesh.util.concatenate([ball, spike])))
 
@@ -329,9 +327,7 @@ def test_garments_enter_and_leave_a_batch_without_a_change_for_others() -> None:
 
 def test_a_band_cut_too_small_is_overstretched() -> None:
     """A ring cut for half the girth of its body is stretched to twice its length."""
-    barrel = trimesh.creation.cylinder(radius=12.0, height=60.0, sections=48)
-    barrel.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    barrel.apply_translation([0.0, 90.0, 0.0])
+    barrel = trimesh.creation.cylinder(radius=12.0, segment=[[0.0, 60.0, 0.0], [0.0, 120.0, 0.0]], sections=48)
     body = body_from(barrel.subdivide().subdivide())
     for share, outcome in ((0.5, Outcome.OVERSTRETCHED), (0.97, Outcome.SETTLED)):
         columns = round(share * 2 * np.pi * 12.5 / 2.0)
@@ -404,16 +400,12 @@ def on_a_table(mesh: BoxMesh) -> DrapeJob:
     return DrapeJob(mesh, table(), SIZE)
 
 
-def beside(mesh: BoxMesh) -> BoxMesh:
-    return replace(mesh, vertices=mesh.vertices + [80.0, 0.0, 0.0])
-
-
 SHEET = patch(16, 16, place=LYING, origin=(-8.0, 72.0, 8.0))
 
 
 def test_a_garment_beside_the_body_falls_below_the_floor() -> None:
     """Equally alone and in a batch; the drape ends as soon as every vertex is below the floor."""
-    falls, stays = on_a_table(beside(SHEET)), on_a_table(SHEET)
+    falls, stays = on_a_table(replace(SHEET, vertices=SHEET.vertices + [80.0, 0.0, 0.0])), on_a_table(SHEET)
     together = drape_batch([stays, falls], device="cpu")
     assert [drape.outcome for drape in together] == [Outcome.SETTLED, Outcome.FELL]
     assert drape_batch([falls], device="cpu") == [together[1]]
@@ -451,19 +443,16 @@ def test_a_ring_round_both_ankles_has_slid_off_and_a_sock_has_not() -> None:
     """Also if the panels were placed there."""
     ring = tube(36, 3, radius=11.5, spacing=2.0, height=10.0)
     sock = replace(ring, vertices=ring.vertices * [0.4, 1.0, 0.4] + [10.0, 0.0, 0.0])
-    assert (
-        off_body(DrapeJob(ring, far_ball(), SIZE), ring.vertices) == "its top lies at 16 cm, below the knees at 43 cm"
-    )
+    said = off_body(DrapeJob(ring, far_ball(), SIZE), ring.vertices)
+    assert said == "its top lies at 16 cm, below the knees at 43 cm"
     assert not off_body(DrapeJob(sock, far_ball(), SIZE), sock.vertices)
 
 
 def test_a_ring_at_rest_round_the_feet_has_slid_off() -> None:
     """Without labels: a wide ring drops from the waist onto the foot of a post and rests there."""
-    post = trimesh.creation.cylinder(radius=6.0, height=130.0, sections=24)
-    foot = trimesh.creation.cylinder(radius=40.0, height=6.0, sections=48)
+    post = trimesh.creation.cylinder(radius=6.0, segment=[[0.0, -62.0, 0.0], [0.0, 68.0, 0.0]], sections=24)
+    foot = trimesh.creation.cylinder(radius=40.0, segment=[[0.0, 0.0, 0.0], [0.0, 6.0, 0.0]], sections=48)
     shape = trimesh.util.concatenate([post, foot])
-    shape.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    shape.apply_translation([0.0, 3.0, 0.0])
     shape = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(shape.vertices, shape.faces, 8.0))
     ring = tube(36, 3, radius=11.5, spacing=2.0, height=95.0)
     [drape] = drape_batch([DrapeJob(ring, body_from(shape), SIZE)], device="cpu")
@@ -475,15 +464,14 @@ def test_a_ring_at_rest_round_the_feet_has_slid_off() -> None:
 
 def test_a_neckline_belongs_above_the_armpits() -> None:
     """At 131 cm for this size; and its mean above the waist, at 107 cm."""
-    dress = patch(
-        5, 5, spacing=2.0, origin=(0.0, SIZE.waist_level + 20.0, 0.0), labels={"left_collar": np.arange(30, 36)}
-    )
-    job = DrapeJob(dress, far_ball(), SIZE)
-    assert not off_body(job, dress.vertices)
-    assert (
-        off_body(job, dress.vertices - [0.0, 10.0, 0.0]) == "its neckline lies at 127 cm, below the armpits at 131 cm"
-    )
-    assert off_body(job, dress.vertices - [0.0, 40.0, 0.0]) == "its neckline lies at 97 cm, below the waist at 107 cm"
+    labels, origin = {"left_collar": np.arange(30, 36)}, (0.0, SIZE.waist_level + 20.0, 0.0)
+    dress = patch(5, 5, spacing=2.0, origin=origin, labels=labels)
+    for lower, said in (
+        (0.0, ""),
+        (10.0, "its neckline lies at 127 cm, below the armpits at 131 cm"),
+        (40.0, "its neckline lies at 97 cm, below the waist at 107 cm"),
+    ):
+        assert off_body(DrapeJob(dress, far_ball(), SIZE), dress.vertices - [0.0, lower, 0.0]) == said
 
 
 @pytest.mark.parametrize("labels", [{}, {"left_collar": np.arange(36)}, {"lower_interface": np.arange(36)}])
@@ -577,16 +565,3 @@ def piercing(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> Int[np.ndarra
     face = np.concatenate([np.asarray(one, int) for one in near])
     hit = segments_cross(*ends[edge].transpose(1, 0, 2), *triangles[face].transpose(1, 0, 2))
     return edges[np.unique(edge[hit])]
-
-
-def segments_cross(*points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """Whether segments pq cross triangles abc, by the signs of five volumes."""
-    p, q, a, b, c = points
-    apart = volume(a, b, c, p) * volume(a, b, c, q) <= 0
-    sides = np.sign([volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)])
-    return apart & ((sides >= 0).all(axis=0) | (sides <= 0).all(axis=0))
-
-
-def volume(*points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    a, b, c, d = points
-    return (np.cross(b - a, c - a) * (d - a)).sum(axis=1)

@@ -18,10 +18,8 @@ from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.drape.tucked import ROOM, widths
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.dressing.worn import WornCloth
-from gcd_dataset.generator.garments import design_from_dict, draw_garment
-from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.records import BodyPart, Layer, Outcome, PanelRole
-from tests.generator.drape.garments import neutral
+from gcd_dataset.records import BodyPart, Layer, Outcome
+from tests.generator.drape.garments import job_of, neutral
 from tests.generator.drape.test_layers import ring, trunk
 from tests.helpers import SIZE, body_from, tube
 
@@ -102,15 +100,10 @@ def test_garments_of_an_outfit_share_their_body() -> None:
 
 @pytest.fixture(scope="module")
 def shirt_and_trousers() -> tuple[DrapeJob, DrapeJob]:
-    body, size = neutral(legs_apart=True)
-    shirt, trousers = (
-        build_box_mesh(draw_garment(size, design_from_dict(design)), spacing=3.0)
-        for design in (
-            {"meta": {"upper": "Shirt"}, "sleeve": {"sleeveless": False, "length": 0.5}},
-            {"meta": {"bottom": "Pants"}},
-        )
+    shirt = {"meta": {"upper": "Shirt"}, "sleeve": {"sleeveless": False, "length": 0.5}}
+    return job_of(shirt, spacing=3.0, legs_apart=True), job_of(
+        {"meta": {"bottom": "Pants"}}, spacing=3.0, legs_apart=True
     )
-    return DrapeJob(shirt, body, size), DrapeJob(trousers, body, size)
 
 
 def test_a_sleeve_is_rolled_round_the_sleeve_below(shirt_and_trousers: tuple[DrapeJob, DrapeJob]) -> None:
@@ -152,19 +145,15 @@ def test_a_tucked_shirt_lies_inside_the_trousers(shirt_and_trousers: tuple[Drape
 
 def test_tucked_cloth_has_room_between_skin_and_waistband() -> None:
     """A tucked ring comes to rest ``ROOM`` off the skin and its gap, as wide as it is taken in, not pressed on it."""
-    ring = on_trunk(11.0)
-    labelled = replace(ring.box_mesh, panel_labels=(PanelRole.BODY,))
     config = DrapeConfig(coarse_start=False)
-    [tucked] = drape_batch([replace(ring, box_mesh=labelled, tucked_below=100.0)], config, device="cpu")
+    [tucked] = drape_batch([replace(on_trunk(11.0), tucked_below=100.0)], config, device="cpu")
     off = np.hypot(*tucked.vertices[:, [0, 2]].T) - 10.0
     assert np.median(off) == pytest.approx(config.body_gap + ROOM, abs=0.05)
 
 
 def test_tucked_cloth_is_as_wide_as_the_skin() -> None:
     """A ring of radius 15 round a trunk of radius 10 keeps two thirds of its width, and all of it where not tucked."""
-    ring = on_trunk(15.0)
-    labelled = replace(ring.box_mesh, panel_labels=(PanelRole.BODY,))
-    config = DrapeConfig(body_gap=0.0)
-    below = widths(replace(ring, box_mesh=labelled, tucked_below=100.0), config)
+    loose, config = on_trunk(15.0), DrapeConfig(body_gap=0.0)
+    below = widths(replace(loose, tucked_below=100.0), config)
     assert below == pytest.approx(np.full(len(below), (10.0 + ROOM) / 15.0), rel=0.02)
-    assert (widths(replace(ring, box_mesh=labelled), config) == 1.0).all()
+    assert (widths(loose, config) == 1.0).all()

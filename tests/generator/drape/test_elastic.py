@@ -32,7 +32,7 @@ from gcd_dataset.generator.drape import (
 )
 from gcd_dataset.generator.drape.config import GRAVITY
 from gcd_dataset.generator.drape.fabrics import MEASURED, shear_stiffness
-from gcd_dataset.generator.drape.model import ClothModel, build_model
+from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
@@ -47,7 +47,6 @@ from tests.helpers import SIZE, far_ball, patch
 
 FABRIC = Fabric(tensile=50.0, bending=2e-5)
 GRAINED = Fabric(tensile=Tensile(60.0, 30.0, 12.0), bending=Bending(3e-5, 1e-5))
-STILL_AIR = DrapeConfig(sewing_time=1e-6, damping=0.0, sewing_damping=0.0, max_speed=1e9)
 
 fabrics = pytest.mark.parametrize("fabric", [FABRIC, GRAINED], ids=["isotropic", "grained"])
 
@@ -59,11 +58,12 @@ def irregular_patch(rng: np.random.Generator) -> BoxMesh:
     return replace(mesh, uv=uv, vertices=np.pad(uv, ((0, 0), (0, 1))))
 
 
-def force_on(model: ClothModel, x: np.ndarray) -> np.ndarray:
-    """The kernel's elastic force at positions ``x`` after sewing [g cm/s²]."""
+def force_on(mesh: BoxMesh, x: np.ndarray, fabric: Fabric, *, sewn: float = 1.0) -> np.ndarray:
+    """The kernel's elastic force at positions ``x``, with a share of the sewing done [g cm/s²]."""
+    model = build_model([DrapeJob(mesh, far_ball(), SIZE, fabric)], DrapeConfig(), "cpu")
     at = wp.array(x.astype(np.float32), dtype=wp.vec3, device="cpu")
     force = wp.empty_like(at)
-    wp.launch(elastic_kernel, dim=len(x), inputs=[model.rows, 1.0, at], outputs=[force], device="cpu")
+    wp.launch(elastic_kernel, dim=len(x), inputs=[model.rows, sewn, at], outputs=[force], device="cpu")
     return np.asarray(force.numpy())
 
 
@@ -72,11 +72,8 @@ def test_compressed_cloth_spreads_only_after_half_of_the_sewing() -> None:
     flat = patch(1, 1, spacing=2.0)
     for scale, at_rest in ((0.5, True), (1.5, False)):
         start = np.asarray(flat.vertices * scale, np.float32)
-        job = DrapeJob(replace(flat, vertices=start), far_ball(), SIZE, FABRIC)
-        model = build_model([job], DrapeConfig(), "cpu")
-        at, force = (wp.array(start, dtype=wp.vec3, device="cpu") for _ in range(2))
-        wp.launch(elastic_kernel, dim=len(start), inputs=[model.rows, 0.5, at], outputs=[force], device="cpu")
-        assert (np.abs(force.numpy()).max() < 1.0) == at_rest
+        force = force_on(replace(flat, vertices=start), start, FABRIC, sewn=0.5)
+        assert (np.abs(force).max() < 1.0) == at_rest
 
 
 def gradient_of(energy: Callable[[np.ndarray], float], x: np.ndarray) -> np.ndarray:
@@ -91,19 +88,17 @@ def gradient_of(energy: Callable[[np.ndarray], float], x: np.ndarray) -> np.ndar
     return gradient
 
 
+def require_gradient(mesh: BoxMesh, x: np.ndarray, fabric: Fabric) -> None:
+    """The force at ``x`` is the negative gradient of the energy."""
+    gradient = gradient_of(lambda at: stretch_energy(mesh, at, fabric) + bending_energy(mesh, at, fabric), x)
+    assert np.linalg.norm(force_on(mesh, x, fabric) + gradient) < 2e-3 * np.linalg.norm(gradient)
+
+
 @fabrics
 def test_force_is_the_negative_gradient_of_the_energy(fabric: Fabric) -> None:
     rng = np.random.default_rng(1)
     mesh = irregular_patch(rng)
-    model = build_model([DrapeJob(mesh, far_ball(), SIZE, fabric)], STILL_AIR, "cpu")
-    x = np.asarray(mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape))
-
-    def energy(at: np.ndarray) -> float:
-        return stretch_energy(mesh, at, fabric) + bending_energy(mesh, at, fabric)
-
-    gradient = gradient_of(energy, x)
-    force = force_on(model, x)
-    assert np.linalg.norm(force + gradient) < 2e-3 * np.linalg.norm(gradient)
+    require_gradient(mesh, mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape), fabric)
 
 
 @fabrics
@@ -126,22 +121,15 @@ def test_sheets_sewn_along_one_edge_follow_their_energy(sheets: int, fabric: Fab
         panel_names=tuple("abcde"[:sheets]),
         panel_labels=("",) * sheets,
     )
-    model = build_model([DrapeJob(book, far_ball(), SIZE, fabric)], STILL_AIR, "cpu")
-    x = np.asarray(book.vertices + 0.2 * rng.standard_normal(book.vertices.shape))
-    gradient = gradient_of(lambda at: stretch_energy(book, at, fabric) + bending_energy(book, at, fabric), x)
-    assert np.linalg.norm(force_on(model, x) + gradient) < 2e-3 * np.linalg.norm(gradient)
+    require_gradient(book, book.vertices + 0.2 * rng.standard_normal(book.vertices.shape), fabric)
 
 
 def test_edges_between_held_vertices_are_taped() -> None:
     """Taped edges are ten times as stiff."""
     plain = patch(4, 4)
-    top = np.arange(20, 25)
-    taped = replace(plain, labels={"lower_interface": top})
+    taped = replace(plain, labels={"lower_interface": np.arange(20, 25)})
     wide = plain.vertices * [1.1, 1.0, 1.0]
-    pulls = []
-    for mesh in (plain, taped):
-        job = DrapeJob(mesh, far_ball(), SIZE, FABRIC)
-        pulls.append(force_on(build_model([job], STILL_AIR, "cpu"), wide)[:, 0])
+    pulls = [force_on(mesh, wide, FABRIC)[:, 0] for mesh in (plain, taped)]
     own = FABRIC.membrane * 0.5 * 0.1  # spring of one face: stiffness × area / length² × 10 % of 1 cm
     assert pulls[1][20] - pulls[0][20] == pytest.approx(9 * own, rel=1e-3)
     assert np.abs(pulls[1] - pulls[0])[:20].max() < 1e-2 * own
@@ -151,26 +139,20 @@ def test_edges_between_held_vertices_are_taped() -> None:
 def test_elastic_forces_conserve_momentum_and_angular_momentum(fabric: Fabric) -> None:
     rng = np.random.default_rng(2)
     mesh = irregular_patch(rng)
-    model = build_model([DrapeJob(mesh, far_ball(), SIZE, fabric)], STILL_AIR, "cpu")
     x = np.asarray(mesh.vertices + 0.3 * rng.standard_normal(mesh.vertices.shape))
-    force = force_on(model, x)
+    force = force_on(mesh, x, fabric)
     scale = np.abs(force).sum()
     assert np.abs(force.sum(axis=0)).max() < 1e-5 * scale
     assert np.abs(np.cross(x, force).sum(axis=0)).max() < 1e-4 * scale
 
 
 WOVEN = Fabric(tensile=Tensile(90.0, 50.0, 20.0), bending=Bending(4e-5, 1.5e-5))
-SEWN = DrapeConfig(sewing_time=1e-6, max_speed=1e9, damping=0.0)
 
 
 def tension(mesh: BoxMesh, fabric: Fabric, strain: np.ndarray) -> np.ndarray:
     """(2, 2) mean tension of a uniformly strained sheet [N/m], from the forces on its vertices."""
-    model = build_model([strip_job(mesh, fabric)], SEWN, "cpu")
     flat = mesh.uv @ (np.eye(2) + strain)
-    x = wp.array(np.pad(flat, ((0, 0), (0, 1))).astype(np.float32), dtype=wp.vec3, device="cpu")
-    forces = wp.empty_like(x)
-    wp.launch(elastic_kernel, dim=len(flat), inputs=[model.rows, 1.0, x], outputs=[forces], device="cpu")
-    force = forces.numpy()[:, :2]
+    force = force_on(mesh, np.pad(flat, ((0, 0), (0, 1))), fabric)[:, :2]
     out, back = (mesh.uv[mesh.corners[:, k]] - mesh.uv[mesh.corners[:, 0]] for k in (1, 2))
     area = 0.5 * np.abs(out[:, 0] * back[:, 1] - out[:, 1] * back[:, 0]).sum()
     return np.asarray(-(force.T @ mesh.uv) / area / 1e3)

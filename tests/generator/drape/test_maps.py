@@ -4,66 +4,37 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from jaxtyping import Float
+import trimesh
 
 from gcd_dataset.generator import make
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.drape import FABRICS, DrapeJob, Fabric, maps_of
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.records import NO_MESH, Body, BodyPart, BoxMesh, Drape, Maps, Measurements, Outcome
+from gcd_dataset.records import Body, BodyPart, BoxMesh, Drape, Maps, Measurements, Outcome
 from gcd_dataset.shards.codec import decode_fields, decode_sample, encode_sample
+from tests.generator.drape.test_drape import LYING
+from tests.helpers import body_from, patch, tube
 
 AROUND, ALONG = 120, 24
 RADIUS = 12.0  # cm
 SETTLED = (Outcome.SETTLED, 0, 0, 0, 1.0, 1.0)
 
 
-def tube(hoop: float, *, along: float = 1.0, radius: float = RADIUS) -> tuple[BoxMesh, Float[np.ndarray, "v 3"]]:
-    """A tube of one panel, sewn to itself, and its vertices stretched by ``hoop`` to a radius [cm]."""
-    columns, rows = np.meshgrid(np.arange(AROUND + 1), np.arange(ALONG + 1), indexing="ij")
-    width = 2 * np.pi * radius / hoop / AROUND
-    uv = np.stack([columns.ravel() * width, rows.ravel() * width], axis=1)
-    number = np.arange(uv.shape[0]).reshape(columns.shape)
-    first, right, above, last = number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]
-    corners = np.concatenate(
-        [np.stack(each, axis=-1).reshape(-1, 3) for each in ((first, right, last), (first, last, above))]
-    )
-    vertex = (columns % AROUND * (ALONG + 1) + rows).ravel()
-    angle = 2 * np.pi * np.arange(AROUND) / AROUND
-    height = along * width * np.arange(ALONG + 1)
-    ring = np.stack([radius * np.sin(angle), 0 * angle, radius * np.cos(angle)], axis=1)
-    vertices = (ring[:, None] + height[None, :, None] * [0.0, 1.0, 0.0]).reshape(-1, 3)
-    mesh = BoxMesh(
-        vertices=vertices,
-        faces=vertex[corners],
-        uv=uv,
-        corners=corners,
-        uv_vertex=vertex,
-        panel_id=np.zeros(len(corners), int),
-        panel_names=("tube",),
-        panel_labels=("",),
-        seams=NO_MESH.seams,
-    )
-    return mesh, vertices
+def sewn_tube(hoop: float) -> BoxMesh:
+    """A tube of one panel, sewn to itself and stretched round by ``hoop`` to ``RADIUS``."""
+    return tube(AROUND, ALONG, radius=RADIUS, spacing=2 * np.pi * RADIUS / hoop / AROUND)
 
 
 def cylinder(radius: float, height: float) -> Body:
     """A closed cylinder of many sides, from 20 cm below the floor to ``height``."""
-    angle = 2 * np.pi * np.arange(360) / 360
-    ring = np.stack([radius * np.sin(angle), 0 * angle, radius * np.cos(angle)], axis=1)
-    ends = [ring + [0.0, y, 0.0] for y in (-20.0, height)]
-    low, high = np.arange(360), 360 + np.arange(360)
-    right, above = np.roll(low, -1), np.roll(high, -1)
-    sides = [np.stack(each, axis=1) for each in ((low, right, above), (low, above, high))]
-    caps = [np.stack([720 + 0 * low, right, low], axis=1), np.stack([721 + 0 * low, high, above], axis=1)]
-    vertices = np.concatenate([*ends, [[0.0, -20.0, 0.0], [0.0, height, 0.0]]])
-    return Body(vertices, np.concatenate([*sides, *caps]), np.full(len(vertices), BodyPart.TRUNK.value, np.uint8))
+    ends = [[0.0, -20.0, 0.0], [0.0, height, 0.0]]
+    return body_from(trimesh.creation.cylinder(radius=radius, segment=ends, sections=360))
 
 
 def worn_tube(fabric: Fabric, hoop: float, *, along: float, gap: float) -> Maps:
-    mesh, vertices = tube(hoop, along=along)
+    mesh = sewn_tube(hoop)
     job = DrapeJob(mesh, cylinder(RADIUS - gap, 60.0), Measurements(), fabric)
-    return maps_of(job, Drape(vertices, *SETTLED))
+    return maps_of(job, Drape(mesh.vertices * [1.0, along, 1.0], *SETTLED))
 
 
 @pytest.mark.parametrize("along", [1.0, 0.9])
@@ -71,7 +42,7 @@ def worn_tube(fabric: Fabric, hoop: float, *, along: float, gap: float) -> Maps:
 def test_a_stretched_tube_presses_with_its_tension_over_its_radius(name: str, along: float) -> None:
     """Kept as long as it is, or let narrow: then its tension is the tensile stiffness times its strain."""
     fabric, hoop = FABRICS[name], 1.1
-    found = worn_tube(fabric, hoop, along=along, gap=0.35).pressure.reshape(AROUND, ALONG + 1)[:, 2:-2]
+    found = worn_tube(fabric, hoop, along=along, gap=0.35).pressure.reshape(ALONG + 1, AROUND)[2:-2]
     tension = fabric.pull.weft * (hoop - 1.0) / (1 - 1 / 9 if along == 1.0 else 1.0)  # N/m; Poisson's ratio is 1/3
     assert found == pytest.approx(tension / along / (0.01 * RADIUS) / 1000, rel=0.05)
 
@@ -85,11 +56,8 @@ def test_cloth_off_the_skin_and_slack_cloth_press_nothing() -> None:
 
 def test_cloth_lying_on_top_presses_with_its_weight() -> None:
     """A level sheet of 0.2 kg/m²: 1.96 Pa."""
-    mesh, _ = tube(1.0)
-    flat = np.stack([mesh.uv[:, 0], 0 * mesh.uv[:, 0] + 60.35, mesh.uv[:, 1]], axis=1) * [1.0, 1.0, -1.0]
-    sheet = BoxMesh(**{**vars(mesh), "vertices": flat, "faces": mesh.corners, "uv_vertex": np.arange(len(flat))})
-    flat = flat - [40.0, 0.0, -8.0]
-    found = maps_of(DrapeJob(sheet, cylinder(100.0, 60.0), Measurements()), Drape(flat, *SETTLED))
+    sheet = patch(60, 20, place=LYING, origin=(-30.0, 60.35, 10.0))
+    found = maps_of(DrapeJob(sheet, cylinder(100.0, 60.0), Measurements()), Drape(sheet.vertices, *SETTLED))
     assert found.gap == pytest.approx(0.35, abs=0.01)
     assert found.pressure == pytest.approx(0.2 * 9.81 / 1000, rel=0.01)
 
@@ -106,9 +74,7 @@ def test_gaps_are_distances_from_the_skin() -> None:
     trunk = np.flatnonzero(body.parts == BodyPart.TRUNK.value)[::50]
     inside = body.vertices[trunk].mean(axis=0)
     points = np.array([[0.0, 300.0, 0.0], inside, [50.0, 3000.0, 0.0]])
-    mesh = BoxMesh(
-        **{**vars(tube(1.0)[0]), "vertices": points, "faces": np.array([[0, 1, 2]]), "corners": np.array([[0, 1, 2]])}
-    )
+    mesh = replace(sewn_tube(1.0), vertices=points, faces=np.array([[0, 1, 2]]), corners=np.array([[0, 1, 2]]))
     out, within, far = maps_of(DrapeJob(mesh, body, measure(body)), Drape(points, *SETTLED)).gap
     assert far == pytest.approx(3000.0 - body.vertices[:, 1].max(), abs=1.0)
     assert out == pytest.approx(300.0 - body.vertices[:, 1].max(), abs=0.2)

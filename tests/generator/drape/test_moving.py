@@ -18,14 +18,10 @@ from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.moving import Motion
 from gcd_dataset.generator.drape.slots import WIDTH, Slots, rooms_of
 from gcd_dataset.generator.dressing.worn import WornCloth
-from gcd_dataset.generator.garments import design_from_dict, draw_garment
-from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Body, Drape, Outcome, Pose
-from tests.generator.drape.garments import Worn, neutral
+from tests.generator.drape.garments import Worn, job_of, neutral
 from tests.generator.drape.probes import same_skin_kernel
 from tests.generator.drape.test_drape import SHEET, on_a_ball, on_a_table, table
-
-TEE = design_from_dict({"meta": {"upper": "Shirt"}, "sleeve": {"sleeveless": False, "length": 0.5}})
 
 
 def shifted(body: Body, by: Float[np.ndarray, "3"]) -> Body:
@@ -107,8 +103,7 @@ def test_points_go_back_with_the_trunk() -> None:
 
 @pytest.fixture(scope="module")
 def tee() -> DrapeJob:
-    body, size = neutral()
-    return DrapeJob(build_box_mesh(draw_garment(size, TEE), spacing=4.0), body, size)
+    return job_of({"meta": {"upper": "Shirt"}, "sleeve": {"sleeveless": False, "length": 0.5}}, spacing=4.0)
 
 
 def test_sleeves_go_up_with_the_arms(tee: DrapeJob) -> None:
@@ -152,9 +147,7 @@ def test_impossible_poses_cost_no_other_garment(tee: DrapeJob) -> None:
 
 def test_a_motion_yields_a_drape_for_each_pose() -> None:
     """A skirt on a walking body keeps its waist and stays clear of the legs; a motion without poses yields nothing."""
-    body, size = neutral()
-    design = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.3}})
-    job = DrapeJob(build_box_mesh(draw_garment(size, design), spacing=5.0), body, size)
+    job = job_of({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.3}}, spacing=5.0)
     steps = np.radians(4.0 * np.arange(4))
     walk = [Pose({"left_thigh": (a, 0.0, 0.0), "right_thigh": (-a, 0.0, 0.0)}) for a in steps]
     drapes = list(drape_motion(job, walk, device="cpu"))
@@ -166,30 +159,24 @@ def test_a_motion_yields_a_drape_for_each_pose() -> None:
 
 
 def test_cloth_behind_a_bent_knee_does_not_cross_itself() -> None:
-    body, size = neutral()
-    trousers = design_from_dict(
-        {"meta": {"bottom": "Pants", "wb": "StraightWB"}, "pants": {"length": 0.9, "width": 1.3}}
-    )
-    job = DrapeJob(build_box_mesh(draw_garment(size, trousers), spacing=4.0), body, size)
+    trousers = {"meta": {"bottom": "Pants", "wb": "StraightWB"}, "pants": {"length": 0.9, "width": 1.3}}
     bends = [Pose({"left_thigh": (0.15 * k, 0.0, 0.0), "left_shin": (-0.3 * k, 0.0, 0.0)}) for k in range(6)]
-    drapes = list(drape_motion(job, bends, fps=15.0, device="cpu"))
+    drapes = list(drape_motion(job_of(trousers, spacing=4.0), bends, fps=15.0, device="cpu"))
     assert [drape.self_crossings for drape in drapes] == 6 * [0]
 
 
 def test_garments_in_motion_are_those_of_each_alone() -> None:
     """In a batch, of other cloth and other motions, of which one ends earlier."""
-    body, size = neutral()
     alone, jobs, ways = list[list[Drape]](), list[DrapeJob](), list[list[Motion]]()
     skirt = {"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.2}}
     shirt = {"meta": {"upper": "Shirt"}}
     for design, fabric, count in ((skirt, "denim", 3), (shirt, "gcd_soft", 4)):
-        mesh = build_box_mesh(draw_garment(size, design_from_dict(design)), spacing=4.0)
-        job = DrapeJob(mesh, body, size, fabric_named(fabric))
+        job = replace(job_of(design, spacing=4.0), fabric=fabric_named(fabric))
         poses = [Pose({"left_thigh": (0.06 * k, 0.0, 0.0)}) for k in range(count)]
         alone.append(list(drape_motion(job, poses, device="cpu")))
         jobs.append(replace(job, pose=poses[0]))
-        ways.append([Motion.through(body, poses)])
-    ways[1] = [Motion.through(body, poses[:2]), Motion.through(body, poses[1:])]  # the same motion in two parts
+        ways.append([Motion.through(job.body, poses)])
+    ways[1] = [Motion.through(job.body, poses[:2]), Motion.through(job.body, poses[1:])]  # the same motion in two parts
     together = [[drapes[0]] for drapes in alone]
     prepared = [PreparedJob.of(job) for job in jobs]
     for number, drape in drape_on(prepared, [drapes[0] for drapes in alone], ways, device="cpu"):
@@ -202,10 +189,8 @@ def test_garments_in_motion_are_those_of_each_alone() -> None:
 
 def test_buffers_hold_the_garments_that_they_are_made_for() -> None:
     """Also of woven cloth, whose warp and weft are coupled, and vertices with many neighbours, as round a pocket."""
-    body, size = neutral()
-    design = design_from_dict({"meta": {"upper": "Shirt"}, "pocket": {"chest": "both"}})
-    mesh, config = build_box_mesh(draw_garment(size, design), spacing=3.0), DrapeConfig()
-    model = build_model([DrapeJob(mesh, body, size, fabric_named("denim"))], config, "cpu")
+    job = job_of({"meta": {"upper": "Shirt"}, "pocket": {"chest": "both"}}, spacing=3.0)
+    model = build_model([replace(job, fabric=fabric_named("denim"))], config := DrapeConfig(), "cpu")
     assert model.rows.width > WIDTH
     assert model.rows.coupled
     assert Slots.of(model, config, [None]).suits(model)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gcd_dataset.curves import LINE, Curve
+from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BoxMesh, Edge, EdgeRef, Panel, Pattern, Placement, Seam
 
 
@@ -42,12 +43,6 @@ def tube() -> Pattern:
     front = panel("front", rectangle(10.0, 20.0), at=(-5.0, 0.0, 3.0), labels={2: "waist"})
     back = panel("back", rectangle(10.0, 20.0), at=(5.0, 0.0, -3.0), turned=np.pi)
     return sewn(front, back, seams=(seam(("front", 1), ("back", 3)), seam(("front", 3), ("back", 1))))
-
-
-def circle(radius: float, spacing: float) -> Float[np.ndarray, "n 2"]:
-    """Points of a circle, counter-clockwise, at most ``spacing`` apart."""
-    angles = np.arange(0, 2 * np.pi, 2 * np.pi / np.ceil(2 * np.pi * radius / spacing))
-    return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def loop(corners: list[tuple[float, float]], spacing: float) -> Float[np.ndarray, "n 2"]:
@@ -93,13 +88,6 @@ def directed_edges(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "e 2"]:
     return np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
 
 
-def undirected_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, " e"]]:
-    """Edges, and the number of faces at each."""
-    low, high = np.sort(directed_edges(faces), axis=1).T
-    keys, counts = np.unique(low * (high.max() + 1) + high, return_counts=True)
-    return np.stack(np.divmod(keys, high.max() + 1), axis=1), counts
-
-
 def euler_characteristic(mesh: BoxMesh) -> int:
     """Vertices minus edges plus faces: 2 for a ball, 1 for a disc, 0 for a tube."""
-    return len(mesh.vertices) - len(undirected_edges(mesh.faces)[0]) + len(mesh.faces)
+    return len(mesh.vertices) - len(mesh_edges(mesh.faces).ends) + len(mesh.faces)

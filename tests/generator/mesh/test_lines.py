@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from gcd_dataset.curves import LINE, Curve, Quadratic, sample_curve
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start, coarsen
 from gcd_dataset.generator.mesh.box_mesh import LAYERS
 from gcd_dataset.generator.mesh.triangulate import flat_areas
 from gcd_dataset.meshedges import mesh_edges, on_line
 from gcd_dataset.records import BoxMesh, Closure, InnerLine, Panel, Pattern
+from tests.generator.drape.garments import neutral
 from tests.generator.mesh.shapes import panel, rectangle, seam, sewn
 from tests.pleats import pleated_square
 
@@ -150,7 +150,7 @@ def test_a_folded_panel_reaches_from_side_to_side(pleats: str) -> None:
     """Even if the line of a fold, extended, meets the panel again."""
     section = {"pleats": pleats, "count": 2, "depth": 0.9, "hips": 1.2, "length": 0.1, "rise": 0.6}
     design = design_from_dict({"meta": {"bottom": "PleatedSkirt"}, "pleated-skirt": section})
-    front = draw_garment(measure(build_body(neutral_shape())), design).panel("skirt_front")
+    front = draw_garment(neutral()[1], design).panel("skirt_front")
     mesh = build_box_mesh(sewn(front), spacing=4.0)
     numbers = [number for number, edge in enumerate(front.edges) if edge.name in ("right", "left")]
     sides = np.any([on_line(mesh.uv, front.edge_ends(number)) for number in numbers], axis=0)

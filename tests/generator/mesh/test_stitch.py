@@ -39,15 +39,6 @@ def test_points_are_equally_spaced_along_a_curve(curve: Curve) -> None:
     assert steps.mean() <= 0.25
 
 
-def test_a_gathered_seam_has_the_points_of_its_longer_side() -> None:
-    pattern = sewn(
-        panel("a", rectangle(10.0, 5.0)), panel("b", rectangle(25.0, 5.0)), seams=(seam(("a", 0), ("b", 2)),)
-    )
-    counts = edge_counts(pattern, 1.0)
-    assert counts[EdgeRef("a", 0)] == counts[EdgeRef("b", 2)] == 26
-    assert counts[EdgeRef("a", 2)] == 11
-
-
 FLAT = panel("a", rectangle(10.0, 5.0))
 BROKEN = {
     "panel b, edge 0 is in seams 0 and 1: split the edge": sewn(

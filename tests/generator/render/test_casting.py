@@ -1,6 +1,6 @@
 """Light, shadow and cloth in pictures follow the scene; the same view gives the same bytes in any batch."""
 
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -76,18 +76,13 @@ def test_lent_pictures_and_those_of_several_threads_are_the_pictures() -> None:
     expected = [bytes_of(picture) for picture in render(scenes, views, size=16, maps=MAPS, device="cpu")]
     pending = start_pictures(scenes, views, size=16, maps=MAPS, device="cpu")
     assert [bytes_of(picture) for picture in pending.lend()] == expected
-    results: dict[int, list[bytes]] = {}
 
-    def work(number: int) -> None:
+    def work() -> list[bytes]:
         pictures = start_pictures(scenes, views, size=16, maps=MAPS, device="cpu").pictures()
-        results[number] = [bytes_of(picture) for picture in pictures]
+        return [bytes_of(picture) for picture in pictures]
 
-    threads = [threading.Thread(target=work, args=(number,)) for number in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert results == {0: expected, 1: expected}
+    with ThreadPoolExecutor(2) as pool:
+        assert [one.result() for one in [pool.submit(work) for _ in range(2)]] == [expected, expected]
 
 
 def test_page_locked_memory_is_free_once_the_last_picture_in_it_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:

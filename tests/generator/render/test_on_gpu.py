@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
+from scipy.spatial import cKDTree
 
-from gcd_dataset.generator.render import MAPS
+from gcd_dataset.generator.render import MAPS, NOISELESS
 from gcd_dataset.generator.render.pictures import VERTEX_MAPS
 from gcd_dataset.loaders import VIEW_FIELDS, GarmentDataset, GarmentLoader, Scan, Sketch, Views
 from gcd_dataset.loaders.base import Item
@@ -100,16 +101,18 @@ def test_scans_agree(items: list[Item]) -> None:
     """The same pixels are measured, with the same noise: nearly all points are the same."""
     for gpu, cpu in both(items, lambda device: Scan(n=2, points=2000, size=SIZE, device=device)):
         assert np.allclose(gpu["scan_camera_rt"], cpu["scan_camera_rt"])
-        distance = nearest(gpu["scan"][:, :3], cpu["scan"][:, :3])
-        assert np.mean(distance < 1.0) > 0.95
+        assert share_near(gpu["scan"], cpu["scan"]) > 0.95
         assert abs(np.mean(gpu["scan_panel_id"] == 0) - np.mean(cpu["scan_panel_id"] == 0)) < 0.03
 
 
 def test_noiseless_depths_agree(items: list[Item]) -> None:
-    from gcd_dataset.generator.render.scans import NOISELESS
-
     for gpu, cpu in both(items, lambda device: Scan(points=2000, size=SIZE, noise=NOISELESS, device=device)):
-        assert np.mean(nearest(gpu["scan"][:, :3], cpu["scan"][:, :3]) < 1.0) > 0.99
+        assert share_near(gpu["scan"], cpu["scan"]) > 0.99
+
+
+def share_near(points: np.ndarray, others: np.ndarray) -> float:
+    """Share of the points of a scan that lie within 1 cm of one of the others."""
+    return float(np.mean(cKDTree(others[:, :3]).query(points[:, :3])[0] < 1.0))
 
 
 def test_sketches_agree(items: list[Item]) -> None:
@@ -117,10 +120,3 @@ def test_sketches_agree(items: list[Item]) -> None:
         assert np.allclose(gpu["sketch_rt"], cpu["sketch_rt"])
         apart = np.abs(gpu["sketch"].astype(int) - cpu["sketch"].astype(int))
         assert np.mean(apart <= 32) >= 0.99
-
-
-def nearest(points: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Distance of each point to the nearest of the others."""
-    from scipy.spatial import KDTree
-
-    return np.asarray(KDTree(others).query(points)[0])

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from jaxtyping import Float
 
 from gcd_dataset.generator.body import build_body, named_pose, neutral_shape, pose_body
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -25,13 +26,20 @@ from gcd_dataset.generator.render.geometry import HEM
 from gcd_dataset.generator.render.pictures import BACKGROUND, GARMENT, HAIR, VERTEX_MAPS
 from gcd_dataset.generator.render.scene import figure_scene
 from gcd_dataset.records import BodyPart
-from tests.generator.render.scenes import ahead, ball_scene, open_napkins, patch_scene, view_of
+from tests.generator.render.scenes import FRONT_LIGHT, ahead, ball_scene, open_napkins, patch_scene, view_of
 from tests.helpers import body_from, far_ball, napkins, patch
 
 
-def picture_of(scene: Scene, camera: Camera, size: int = 64) -> Picture:
-    [picture] = render([scene], [view_of(scene, camera=camera)], size=size, maps=MAPS, device="cpu")
+def picture_of(scene: Scene, camera: Camera, size: int = 64, *, lights: Lights = FRONT_LIGHT) -> Picture:
+    [picture] = render([scene], [view_of(scene, camera=camera, lights=lights)], size=size, maps=MAPS, device="cpu")
     return picture
+
+
+def points_at(picture: Picture, row: np.ndarray, column: np.ndarray) -> Float[np.ndarray, "3 n"]:
+    """The points that K, depth and [R | t] give back to pixels [cm]."""
+    seen = np.linalg.solve(picture.intrinsics, np.stack([column, row, np.ones_like(row)]).astype(float))
+    R, t = picture.extrinsics[:, :3], picture.extrinsics[:, 3:]
+    return np.asarray(R.T @ (seen * picture.maps["depth"][row, column] - t))
 
 
 def test_depth_of_a_ball() -> None:
@@ -44,18 +52,15 @@ def test_depth_of_a_ball() -> None:
 
 
 def test_every_pixel_projects_back_onto_itself() -> None:
-    """K and [R | t] take the points that depth and K give back to their pixels; the points lie on the ball."""
+    """The camera takes the points of pixels back to their pixels; the points lie on the ball."""
     camera = look_at(np.array([60.0, 150.0, 180.0]), np.array([3.0, 98.0, 0.0]), focal=2.5, roll=0.2, shift=(0.05, 0.1))
     picture = picture_of(ball_scene(20.0), camera, 48)
     row, column = np.nonzero(picture.maps["part"] == BodyPart.TRUNK.value)
     assert len(row) > 200
-    seen = np.linalg.solve(picture.intrinsics, np.stack([column, row, np.ones_like(row)]).astype(float))
-    points = seen * picture.maps["depth"][row, column]
-    R, t = picture.extrinsics[:, :3], picture.extrinsics[:, 3:]
-    world = R.T @ (points - t)
-    assert np.linalg.norm(world.T - [0.0, 100.0, 0.0], axis=1) == pytest.approx(20.0, abs=0.1)
-    assert camera.project(world.T, 48) == pytest.approx(np.stack([column, row], axis=1), abs=1e-3)
-    assert np.linalg.det(R) == pytest.approx(1.0)
+    points = points_at(picture, row, column).T
+    assert np.linalg.norm(points - [0.0, 100.0, 0.0], axis=1) == pytest.approx(20.0, abs=0.1)
+    assert camera.project(points, 48) == pytest.approx(np.stack([column, row], axis=1), abs=1e-3)
+    assert np.linalg.det(picture.extrinsics[:, :3]) == pytest.approx(1.0)
 
 
 def test_normals_point_at_the_camera_in_its_own_axes() -> None:
@@ -95,9 +100,7 @@ def test_a_linear_value_of_the_vertices_has_at_each_pixel_its_value_at_the_point
     maps = picture.maps
     row, column = np.nonzero(maps["depth"] > 0.0)
     assert len(row) > 500
-    seen = np.linalg.solve(picture.intrinsics, np.stack([column, row, np.ones_like(row)]).astype(float))
-    R, t = picture.extrinsics[:, :3], picture.extrinsics[:, 3:]
-    x, y, _ = R.T @ (seen * maps["depth"][row, column] - t)
+    x, y, _ = points_at(picture, row, column)
     assert maps["gap"][row, column] == pytest.approx(0.3 * x - 0.2 * y, abs=1e-3)
     assert maps["pressure"][row, column] == pytest.approx(5.0 - x, abs=1e-3)
     assert maps["stretch"][row, column] == pytest.approx(np.stack([1.0 + 0.01 * x, 0.02 * y], axis=1), abs=1e-4)
@@ -168,18 +171,14 @@ def test_lit_is_the_side_of_the_light_without_what_stands_before_it() -> None:
     """A ball under light from its right; a sheet to the right of its upper half shades that half."""
     ball = ball_scene(20.0)
     from_right = Lights(np.array([1.0, 0.0, 0.0]))
-    [free] = render(
-        [ball], [view_of(ball, camera=ahead(200.0), lights=from_right)], size=65, maps=("lit",), device="cpu"
-    )
     sheet = patch(30, 15, spacing=2.0)
     upright = np.column_stack([np.full(len(sheet.uv), 40.0), sheet.uv[:, 1] + 100.0, sheet.uv[:, 0] - 30.0])
     shaded = scene_of(sheet, upright, ball.body)
-    view = view_of(shaded, camera=ahead(200.0), lights=from_right)
-    [behind] = render([shaded], [view], size=65, maps=("lit",), device="cpu")
+    free, behind = (picture_of(each, ahead(200.0), 65, lights=from_right).maps["lit"] for each in (ball, shaded))
     above, below = (22, 42), (42, 42)
-    assert free.maps["lit"][above] == free.maps["lit"][below] == 255
-    assert free.maps["lit"][32, 20] == 0
-    assert (behind.maps["lit"][above], behind.maps["lit"][below]) == (0, 255)
+    assert free[above] == free[below] == 255
+    assert free[32, 20] == 0
+    assert (behind[above], behind[below]) == (0, 255)
 
 
 def test_keypoints_of_a_stride_seen_from_both_sides() -> None:
