@@ -273,7 +273,7 @@ def test_a_band_as_wide_as_the_hips_holds_nothing(woman: Measurements) -> None:
     assert held[2] == held[1]
 
 
-STRAPLESS = {"meta": {"upper": "FittedShirt", "bottom": "SkirtCircle"}, "shirt": {"strapless": True}}
+STRAPLESS: dict[str, Any] = {"meta": {"upper": "FittedShirt", "bottom": "SkirtCircle"}, "shirt": {"strapless": True}}
 
 
 @pytest.mark.parametrize(
