@@ -15,7 +15,7 @@ import shapely
 from jaxtyping import Float
 from PIL import Image
 
-from gcd_dataset.curves import Arc, Cubic, Curve, Quadratic, sample_curve
+from gcd_dataset.curves import Arc, Cubic, Curve, Quadratic, curve_points, sample_curve
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drawing import contact_sheet, design_sheet, draw_pattern, jpeg_bytes, picture_of, png_bytes
 from gcd_dataset.generator.lay_plan import PAPER, lay_out
@@ -32,13 +32,10 @@ def is_paper(picture: np.ndarray) -> np.ndarray:
 def test_a_pattern_is_drawn_to_scale() -> None:
     """Two panels of 20 × 10 cm cover the same area, side by side, without touching."""
     picture = draw_pattern(napkins(), size=200)
-    columns = (~is_paper(picture)).any(axis=0)
-    rows = (~is_paper(picture)).any(axis=1)
-    runs = np.diff(np.flatnonzero(np.diff(np.r_[0, columns.astype(int), 0])))[::2]
-    height = np.diff(np.flatnonzero(np.diff(np.r_[0, rows.astype(int), 0])))[::2]
-    widest = max(runs.max(), height.max())
-    assert widest > 80
-    assert sorted([len(runs), len(height)]) == [1, 2]
+    drawn = [(~is_paper(picture)).any(axis=axis) for axis in (0, 1)]
+    columns, rows = (np.diff(np.flatnonzero(np.diff(np.r_[0, one.astype(int), 0])))[::2] for one in drawn)
+    assert max(columns.max(), rows.max()) > 80
+    assert sorted([len(columns), len(rows)]) == [1, 2]
 
 
 def test_names_beyond_ascii_are_numbered() -> None:
@@ -71,8 +68,7 @@ def test_a_sheet_of_designs_shows_each_under_its_name() -> None:
     captions = [cell[:14] for cell in cells]
     assert not any(is_paper(caption).all() for caption in captions)
     assert not np.array_equal(captions[0][:, :64], captions[1][:, -64:])
-    drawn = draw_pattern(patterns[2], size=64)
-    assert np.array_equal(sheet[-64:, :64], drawn)
+    assert np.array_equal(sheet[-64:, :64], draw_pattern(patterns[2], size=64))
 
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -131,22 +127,11 @@ def _strokes(path: str, count: int) -> Iterator[Float[np.ndarray, "n 2"]]:
                     points = [(1 - t) * a + t * b for a, b in pairwise(points)]
                 yield points[0]
             case "A":
-                yield _arc(pen, numbers, t)
+                radius, same, _, large, sweep = numbers[:5]
+                assert radius == same
+                arc = Arc(radius, large=bool(large), right=bool(sweep))  # a positive sweep goes round counter-clockwise
+                yield curve_points((pen[0], pen[1]), (numbers[5], numbers[6]), arc, t[:, 0])
         pen = numbers[-2:] if len(numbers) else pen
-
-
-def _arc(pen: Float[np.ndarray, "2"], numbers: Float[np.ndarray, "7"], t: Float[np.ndarray, "n 1"]) -> np.ndarray:
-    """A circular arc: SVG 1.1, appendix F.6.5."""
-    radius, same, _, large, sweep = numbers[:5]
-    assert radius == same
-    half = 0.5 * (pen - numbers[5:])
-    square = max(radius**2 / (half @ half) - 1, 0.0)
-    offset = np.sqrt(square) * (1 if large != sweep else -1) * np.array([half[1], -half[0]])
-    centre = offset + 0.5 * (pen + numbers[5:])
-    first, last = (np.arctan2(*(side - offset)[::-1]) for side in (half, -half))
-    turn = (last - first) % (2 * np.pi) - (0 if sweep else 2 * np.pi)
-    angles = first + t * turn
-    return centre + radius * np.concatenate([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def lens(curve: Curve, *, clockwise: bool = False) -> Panel:
@@ -197,9 +182,8 @@ def assert_true_to_scale(pattern: Pattern) -> None:
         sheet = flattened(piece.cloth) * [1, -1] + piece.matrix[4:]
         placed.append(shapely.Polygon(sheet).envelope)
         assert cloth.buffer(1e-6).contains(shapely.LineString(flattened(piece.grain.split(" M")[0])))
-    assert shapely.unary_union(placed).bounds == pytest.approx(
-        (1, 1, width - 1, height - 1), abs=0.05
-    )  # 1 cm of margin
+    margins = (1, 1, width - 1, height - 1)  # of 1 cm
+    assert shapely.unary_union(placed).bounds == pytest.approx(margins, abs=0.05)
     assert not any(one.intersects(other) for one, other in combinations(placed, 2))
 
 

@@ -56,9 +56,8 @@ front.closure = "zip"
 def config(tmp_path_factory: pytest.TempPathFactory) -> MakeConfig:
     path = tmp_path_factory.mktemp("outfits") / "two.toml"
     path.write_text(TEXT)
-    return MakeConfig(
-        bodies="neutral", outfits=str(path), resolution=4.0, device="cpu", picture=16, points=64, captions=True
-    )
+    small: dict[str, Any] = {"resolution": 4.0, "device": "cpu", "picture": 16, "points": 64}
+    return MakeConfig(bodies="neutral", outfits=str(path), captions=True, **small)
 
 
 @pytest.fixture(scope="module")

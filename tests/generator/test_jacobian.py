@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator import Fitting, build_body, drape_jacobian, measure, real_parameters
-from gcd_dataset.generator.body import neutral_shape
+from gcd_dataset.generator import Fitting, drape_jacobian, real_parameters
+from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.jacobian import mean_value_coordinates, moved
 from gcd_dataset.records import EdgeRole
 
-BODY = build_body(neutral_shape())
-NEUTRAL = Fitting(BODY, measure(BODY), resolution=6.0)
+NEUTRAL = Fitting(*named_body("neutral")[:2], resolution=6.0)
 SKIRT = design_from_dict({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"length": 0.5}})
 
 

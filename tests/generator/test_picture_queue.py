@@ -30,24 +30,28 @@ def jobs() -> list[DrapeJob]:
     return [DrapeJob(one.box_mesh, one.body, one.size) for one in worn if one.box_mesh]
 
 
-def at_rest(job: DrapeJob) -> Drape:
-    """A settled drape at the start positions."""
-    return Drape(job.box_mesh.vertices.astype(np.float32), Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)
-
-
 def assert_own_pictures(replies: list[DrapeReply], requests: list[DrapeRequest]) -> None:
     """One reply for each request, with its garment from front and back."""
     by_number = {reply.number: reply for reply in replies}
     assert len(by_number) == len(replies) == len(requests)
     for request in requests:
         mesh, body, reply = request.job.box_mesh, request.job.body, by_number[request.number]
-        assert np.array_equal(reply.drape.vertices, mesh.vertices.astype(np.float32))
+        assert np.array_equal(reply.drape.vertices, rendered.start_of(request).vertices)
         if not request.picture:
             assert reply.pictures is None
             continue
         alone = render_garment(reply.drape.vertices, mesh, body, size=request.picture, device="cpu")
         assert reply.pictures is not None
         assert all(map(np.array_equal, reply.pictures, alone))
+
+
+def replies_to(requests: list[DrapeRequest], drapes: list[Drape]) -> list[DrapeReply]:
+    replies: list[DrapeReply] = []
+    queue = PictureQueue("cpu")
+    for request, drape in zip(requests, drapes, strict=True):
+        queue.add(request, drape, replies.append)
+    queue.flush()
+    return replies
 
 
 @pytest.mark.parametrize("batch_size", [1, 3])
@@ -58,11 +62,7 @@ def test_every_garment_gets_its_own_pictures(
     monkeypatch.setattr(PictureQueue, "_batch_size", lambda *_: batch_size)
     sizes = [24, 24, 32, 0, 24, 24, 24, 0]
     requests = [DrapeRequest(number, jobs[number % len(jobs)], picture=size) for number, size in enumerate(sizes)]
-    replies: list[DrapeReply] = []
-    queue = PictureQueue("cpu")
-    for request in requests:
-        queue.add(request, at_rest(request.job), replies.append)
-    queue.flush()
+    replies = replies_to(requests, list(map(rendered.start_of, requests)))
     assert_own_pictures(replies, requests)
     pictured = [reply.number for reply in replies if reply.pictures]
     assert pictured == sorted(pictured)
@@ -72,7 +72,7 @@ def test_pictures_do_not_wait_for_a_full_batch(jobs: list[DrapeJob]) -> None:
     """``advance`` renders and replies while other garments drape."""
     replies: list[DrapeReply] = []
     queue, request = PictureQueue("cpu"), DrapeRequest(7, jobs[0], picture=24)
-    queue.add(request, at_rest(request.job), replies.append)
+    queue.add(request, rendered.start_of(request), replies.append)
     for _ in range(2):
         queue.advance()
     assert_own_pictures(replies, [request])
@@ -88,11 +88,7 @@ def test_a_garment_in_motion_goes_on_from_its_drape(
     """With pictures and without."""
     monkeypatch.setattr("gcd_dataset.generator.drape.drape.drape_on", still)
     request = DrapeRequest(7, jobs[0], picture=size, motion=tuple(walk()[:3]))
-    replies: list[DrapeReply] = []
-    queue = PictureQueue("cpu")
-    queue.add(request, at_rest(jobs[0]), replies.append)
-    queue.flush()
-    [reply] = replies
+    [reply] = replies_to([request], [rendered.start_of(request)])
     assert reply.motion and reply.motion.poses == request.motion
     assert (reply.pictures is None) == (size == 0)
 
@@ -103,7 +99,7 @@ def test_motions_begin_together(jobs: list[DrapeJob], monkeypatch: pytest.Monkey
     monkeypatch.setattr(PictureQueue, "_most_moving", lambda _: 2)
     moving = DrapeRequest(0, jobs[0], motion=tuple(walk()[:3]))
     replies: list[DrapeReply] = []
-    queue, rest = PictureQueue("cpu"), at_rest(jobs[0])
+    queue, rest = PictureQueue("cpu"), rendered.start_of(moving)
     queue.add(moving, rest, replies.append)
     queue.add(replace(moving, number=1), replace(rest, outcome=Outcome.FELL), replies.append)
     queue.add(replace(moving, number=2, motion=()), rest, replies.append)
@@ -122,10 +118,10 @@ def test_a_motion_does_not_wait_for_ever(jobs: list[DrapeJob], monkeypatch: pyte
     monkeypatch.setattr(PictureQueue, "_most_moving", lambda _: 2)
     monkeypatch.setattr("gcd_dataset.generator.drapers.pictures.PATIENCE", 3)
     replies: list[DrapeReply] = []
-    queue, rest = PictureQueue("cpu"), at_rest(jobs[0])
+    queue = PictureQueue("cpu")
     for number in range(5):
-        motion = tuple(walk()[:3]) if number == 1 else ()
-        queue.add(DrapeRequest(number, jobs[0], motion=motion), rest, replies.append)
+        request = DrapeRequest(number, jobs[0], motion=tuple(walk()[:3]) if number == 1 else ())
+        queue.add(request, rendered.start_of(request), replies.append)
     assert [reply.number for reply in replies] == [0, 2, 3, 4, 1]
 
 
@@ -136,12 +132,7 @@ def test_every_garment_gets_its_own_views(monkeypatch: pytest.MonkeyPatch) -> No
     asked += [replace(asked[0], number=3, picture=24), replace(asked[1], number=4, views=None)]
     drapes = [rendered.start_of(request) for request in asked]
     drapes[1] = rendered.diverged(asked[1])
-    replies: list[DrapeReply] = []
-    queue = PictureQueue("cpu")
-    for request, drape in zip(asked, drapes, strict=True):
-        queue.add(request, drape, replies.append)
-    queue.flush()
-    by_number = {reply.number: reply for reply in replies}
+    by_number = {reply.number: reply for reply in replies_to(asked, drapes)}
     for request, drape in zip(asked, drapes, strict=True):
         alone, reply = make_reply(request, drape, "cpu"), by_number[request.number]
         assert len(reply.views) == len(alone.views) == (2 if request.number in (0, 2, 3) else 0)
@@ -154,10 +145,8 @@ def test_every_garment_gets_its_own_views(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_a_diverged_drape_has_members_of_the_same_kind() -> None:
     [request, other] = rendered.requests(2)
-    lost, shown = (
-        rendered.sample_of(make_reply(*pair, "cpu"))
-        for pair in ((request, rendered.diverged(request)), (other, rendered.start_of(other)))
-    )
+    pairs = (request, rendered.diverged(request)), (other, rendered.start_of(other))
+    lost, shown = (rendered.sample_of(make_reply(*pair, "cpu")) for pair in pairs)
     members = garments_layout(views=2, sides=False).members
     assert tuple(encode_sample(lost)) == tuple(encode_sample(shown)) == members
     assert kinds(lost.views[0].facts) == kinds(shown.views[0].facts)

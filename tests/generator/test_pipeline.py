@@ -51,15 +51,11 @@ def test_seeds_and_indices_make_different_garments() -> None:
 
 def test_a_stage_leaves_out_the_later_fields_and_holds_gathers_and_tags() -> None:
     flat, meshed = make(5, 0, FLAT), make(5, 0, MESHED)
-    assert flat.box_mesh is None
-    assert flat.points is None
-    assert meshed.drape is None
-    assert meshed.front is None
+    assert (flat.box_mesh, flat.points, meshed.drape, meshed.front) == (None, None, None, None)
     assert meshed.pattern == flat.pattern
     assert meshed.points is not None
     assert meshed.points.shape == (64, 6)
-    for config in (FLAT, MESHED):
-        sample = make(5, 0, config)
+    for sample in (flat, meshed):
         assert sample.gathers == sample.pattern.gather_ratios()
         assert sample.tags == garment_tags(sample.measurements, design_from_dict(sample.design), sample.pattern)
         assert sample.tags
@@ -188,17 +184,14 @@ def test_a_motion_that_fails_keeps_its_frames(
 
 def test_a_garment_that_never_rests_has_no_frames(steps: MakeConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     """It has the members and types of all others."""
-    monkeypatch.setattr("gcd_dataset.generator.drape.batches.best_of", lambda drapes: fallen(drapes[-1]))
+    best = "gcd_dataset.generator.drape.batches.best_of"
+    monkeypatch.setattr(best, lambda drapes: replace(drapes[-1], outcome=Outcome.FELL))
     sample = make(5, 1, replace(steps, on_fail="keep"))
     members = encode_sample(sample)
     assert decode_fields(members, ["motion_verts"])["motion_verts"].shape == (0, 3)
     assert json.loads(members["meta.json"])["motion"]["crossings"] == [[-1, -1, -1]]
     stored = decode_sample(members).motion
     assert stored and (stored.poses, stored.asked, stored.ended) == ((), 3, Outcome.FELL)
-
-
-def fallen(drape: Drape) -> Drape:
-    return replace(drape, outcome=Outcome.FELL)
 
 
 def test_pictures_and_maps_show_the_body_in_its_pose(tmp_path: Path) -> None:
@@ -236,11 +229,10 @@ def test_poses_that_no_drape_has_are_refused(options: dict, told: str) -> None:
 
 def test_random_wearers_are_women_and_men_named_by_their_sex() -> None:
     samples = [make(9, index, replace(FLAT, bodies="random")) for index in range(6)]
-    kinds = {sample.provenance.body_name.partition(":")[0] for sample in samples}
-    assert kinds == {"female", "male"}
-    women = replace(FLAT, bodies="female")
-    index, woman = next((i, s) for i, s in enumerate(samples) if s.provenance.body_name == f"female:9:{i}")
-    assert woman.measurements == make(9, index, women).measurements
+    names = [sample.provenance.body_name for sample in samples]
+    assert {name.partition(":")[0] for name in names} == {"female", "male"}
+    index = next(index for index, name in enumerate(names) if name == f"female:9:{index}")
+    assert samples[index].measurements == make(9, index, replace(FLAT, bodies="female")).measurements
 
 
 @pytest.mark.parametrize("group", ["female", "male", "pooled"])
@@ -252,9 +244,7 @@ def test_adults_of_a_group_wear_designs_under_its_name(group: Literal["female", 
 
 def test_a_draped_sample_is_complete() -> None:
     sample = make(5, 1, DRAPED)
-    assert sample.drape is not None
-    assert sample.box_mesh is not None
-    assert sample.points is not None
+    assert sample.drape is not None and sample.box_mesh is not None and sample.points is not None
     assert sample.drape.outcome is Outcome.SETTLED
     assert sample.drape.vertices.shape == sample.box_mesh.vertices.shape
     drop = np.linalg.norm(sample.drape.vertices - sample.box_mesh.vertices, axis=1)
@@ -306,52 +296,43 @@ def test_a_draper_that_makes_less_than_it_is_asked_for_is_named(options: dict, t
         next(produce(5, [0], replace(DRAPED, picture=0, **options), draper=Failing(0)))
 
 
-def test_failed_drapes_raise_the_number_of_attempts() -> None:
-    config = replace(DRAPED, picture=0)
-    samples = list(produce(5, range(3), config, draper=Failing(2)))
+def test_failed_drapes_raise_the_number_of_attempts_and_redraws_are_those_of_all() -> None:
+    """A rejected design adds the redraws of the next attempt, and itself."""
+    samples = list(produce(5, range(3), replace(DRAPED, picture=0), draper=Failing(2)))
     assert [sample.provenance.index for sample in samples] == [0, 1, 2]
-    for sample in samples:
-        assert sample.provenance.rejects.count("drape: not_settled") == 2
-        assert sample.provenance.attempts == len(sample.provenance.rejects) + 1
-        assert sample.provenance.redraws["drape"] == 2
+    for index, sample in enumerate(samples):
+        made = sample.provenance
+        assert made.rejects.count("drape: not_settled") == 2
+        assert made.attempts == len(made.rejects) + 1
+        redraws = Counter(reject.partition(":")[0] for reject in made.rejects)
+        for number in range(made.attempts):
+            redraws += attempted_design(5, index, number, [sample.measurements]).by_rule()
+        assert made.redraws == redraws
+        assert list(made.redraws) == sorted(made.redraws)
         assert sample.drape is not None
         assert sample.drape.outcome is Outcome.SETTLED
 
 
-def test_redraws_are_those_of_all_attempts() -> None:
-    """A failed drape adds the redraws of the next attempt, and itself."""
-    config = replace(DRAPED, picture=0)
-    [sample] = produce(5, [0], config, draper=Failing(2))
-    attempts = [attempted_design(5, 0, attempt, [sample.measurements]) for attempt in range(3)]
-    assert sample.provenance.attempts == 3
-    assert sample.provenance.redraws == {"drape": 2} | sum((drawn.by_rule() for drawn in attempts), Counter())
-    assert sample.provenance.redraws == dict(sorted(sample.provenance.redraws.items()))
-
-
 def test_after_a_failed_drape_the_upper_and_the_bottom_stay() -> None:
     config = replace(DRAPED, picture=0, bodies="random")
-    for index in range(4):
-        [kept], [again] = (list(produce(5, [index], config, draper=Failing(times))) for times in (0, 1))
+    first, second = (produce(5, range(4), config, draper=Failing(times)) for times in (0, 1))
+    for kept, again in zip(first, second, strict=True):
         for part in ("upper", "bottom"):
             assert kept.design["meta"][part] == again.design["meta"][part]
         assert kept.design != again.design
 
 
 def test_a_failed_drape_and_the_last_attempt_can_be_kept() -> None:
-    rejects = make(5, 0, FLAT).provenance.rejects
-    [sample] = produce(5, [0], replace(DRAPED, picture=0, on_fail="keep"), draper=Failing(1))
-    assert sample.drape is not None
-    assert sample.drape.outcome is Outcome.NOT_SETTLED
-    assert sample.provenance.rejects == rejects
-    # A garment that never settles does not stop a data set.
-    [sample] = produce(5, [7], replace(DRAPED, picture=0, max_attempts=3), draper=Failing(99))
-    assert sample.drape is not None
-    assert sample.drape.outcome is Outcome.NOT_SETTLED
-    assert sample.provenance.attempts == 3
+    """A garment that never settles does not stop a data set."""
+    [kept] = produce(5, [0], replace(DRAPED, picture=0, on_fail="keep"), draper=Failing(1))
+    [last] = produce(5, [7], replace(DRAPED, picture=0, max_attempts=3), draper=Failing(99))
+    assert [sample.drape and sample.drape.outcome for sample in (kept, last)] == [Outcome.NOT_SETTLED] * 2
+    assert kept.provenance.rejects == make(5, 0, FLAT).provenance.rejects
+    assert last.provenance.attempts == 3
 
 
 def test_another_attempt_does_not_build_the_wearers_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    config = MakeConfig(stage="pattern", bodies="both")
+    config = replace(FLAT, bodies="both")
     first = pipeline.prepare(77, 3, config)
     monkeypatch.setattr(pipeline, "build_body", build := Mock(wraps=build_body))
     monkeypatch.setattr(pipeline, "measure", tape := Mock(wraps=measure))
@@ -404,22 +385,17 @@ def test_options_are_checked(option: str, value: object, expected: str) -> None:
 
 
 def test_a_recipe_is_the_same_with_2_and_2_0_and_another_with_a_fabric() -> None:
-    assert json.dumps(recipe_of(replace(DRAPED, resolution=2))) == json.dumps(
-        recipe_of(replace(DRAPED, resolution=2.0))
-    )
+    whole, same = (json.dumps(recipe_of(replace(DRAPED, resolution=value))) for value in (2, 2.0))
+    assert whole == same
     assert recipe_of(DRAPED)["device"] == "cpu"
     assert "fabric" not in recipe_of(DRAPED)  # recipes from before the option keep their hash
     assert recipe_of(replace(DRAPED, fabric="denim"))["fabric"] == "denim"
 
 
-def only(**meta: str) -> Overlay:
-    return Overlay.from_dict({"meta": meta})
-
-
 def test_trousers_are_draped_on_legs_apart() -> None:
     """The measures are taken with legs together, as for every body."""
-    trousers = make(5, 0, replace(FLAT, design=only(upper="none", bottom="Pants")))
-    skirt = make(5, 0, replace(FLAT, design=only(upper="none", bottom="PencilSkirt")))
+    worn = [Overlay.from_dict({"meta": {"upper": "none", "bottom": name}}) for name in ("Pants", "PencilSkirt")]
+    trousers, skirt = (make(5, 0, replace(FLAT, design=overlay)) for overlay in worn)
     assert trousers.shape is not None
     assert skirt.shape is not None
     assert (trousers.shape.legs_apart, skirt.shape.legs_apart) == (True, False)
@@ -445,14 +421,11 @@ def test_one_design_fits_many_bodies() -> None:
         fit(tall, sizes)
 
 
-BOTH = MakeConfig(stage="pattern", bodies="both")
-COARSE = MakeConfig(stage="mesh", resolution=8.0, points=16, bodies="both")
-
-
 def test_workers_and_a_single_process_make_the_same_samples() -> None:
     """Also where the workers return results of ``finished``, in the order of the indices."""
-    alone = [encode_sample(sample) for sample in produce(5, [4, 0, 1, 5], COARSE)]
-    assert list(produce(5, [4, 0, 1, 5], COARSE, workers=2, finished=encode_sample)) == alone
+    coarse = replace(MESHED, bodies="both")
+    alone = [encode_sample(sample) for sample in produce(5, [4, 0, 1, 5], coarse)]
+    assert list(produce(5, [4, 0, 1, 5], coarse, workers=2, finished=encode_sample)) == alone
 
 
 def test_indices_may_be_infinite() -> None:
@@ -460,7 +433,7 @@ def test_indices_may_be_infinite() -> None:
         while True:
             yield from (0, 1)
 
-    made = produce(5, forever(), BOTH)
+    made = produce(5, forever(), replace(FLAT, bodies="both"))
     first, second, third = next(made), next(made), next(made)
     assert first == third != second
 

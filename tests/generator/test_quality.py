@@ -28,13 +28,10 @@ def test_principal_stretches_of_a_stretched_a_sheared_and_a_folded_sheet() -> No
     assert stretches[:, 0] == pytest.approx(1.3)
     assert stretches[:, 1] == pytest.approx(0.8)
     # [[1, k], [0, 1]] has singular values s and 1/s.
-    sheet, k = patch(4, 4), 0.5
-    flat = np.asarray(sheet.vertices, float)
+    k = 0.5
     stretches = principal_stretches(sheet, np.stack([flat[:, 0] + k * flat[:, 1], flat[:, 1], flat[:, 2]], axis=1))
     expected = np.linalg.svd([[1.0, k], [0.0, 1.0]])[1]
     assert stretches == pytest.approx(np.broadcast_to(expected, stretches.shape))
-    sheet = patch(6, 6)
-    flat = np.asarray(sheet.vertices, float)
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     assert principal_stretches(sheet, flat @ turn.T + 7.0) == pytest.approx(1.0)
 

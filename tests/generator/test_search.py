@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gcd_dataset.generator import Fitting, build_body, measure
-from gcd_dataset.generator.body import neutral_shape
+from gcd_dataset.generator import Fitting
+from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import drape_batch
 from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.garments.rules import DrawnGarment, too_heavy
@@ -17,20 +17,15 @@ from gcd_dataset.generator.quality import sample_surface
 from gcd_dataset.generator.search import ScanPoints, Target, gauss_newton, search
 from gcd_dataset.generator.silhouettes import Silhouettes
 from tests.generator.test_silhouettes import cut_out
+from tests.helpers import patch
 
 SIDE = 41  # vertices along each side of a sheet of 80 cm
 
 
 def sheet(drop: float, wider: float) -> np.ndarray:
     """Vertices of a sheet that is bent along x, dropped and widened [cm]."""
-    x, y = np.meshgrid(np.linspace(0, 80 + wider, SIDE), np.linspace(0, 80, SIDE), indexing="ij")
+    x, y = np.meshgrid(np.linspace(0, 80 + wider, SIDE), np.linspace(0, 80, SIDE))
     return np.stack([x, y, 10 * np.sin(x / 20) - drop], axis=-1).reshape(-1, 3)
-
-
-def faces() -> np.ndarray:
-    corner = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
-    a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
-    return np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
 
 
 @pytest.mark.parametrize(("partial", "known"), [(False, 2), (True, 1)])
@@ -39,7 +34,7 @@ def test_parameters_are_found_on_a_linear_map(partial: bool, known: int, monkeyp
     monkeypatch.setattr("gcd_dataset.generator.search.PROPOSED", 0.2)
     base = sheet(0.0, 0.0)
     derivatives = np.stack([sheet(20.0, 0.0) - base, sheet(0.0, 1.0) - base]) * [[[1.0]], [[30.0]]]
-    worn = SimpleNamespace(job=SimpleNamespace(box_mesh=SimpleNamespace(faces=faces())))
+    worn = SimpleNamespace(job=SimpleNamespace(box_mesh=patch(SIDE - 1, SIDE - 1)))
     jacobian: Any = SimpleNamespace(worn=worn, positions=base, derivatives=derivatives)
     points = sheet(2.0, 3.0)
     slope = np.stack([-0.5 * np.cos(points[:, 0] / 20), np.zeros(len(points)), np.ones(len(points))], axis=1)
@@ -74,8 +69,7 @@ class Wide:
 @pytest.mark.long
 def test_a_skirt_does_not_become_too_heavy_for_its_waist() -> None:
     """On a wearer who is not known to the centimetre, it would slide off."""
-    body = build_body(neutral_shape())
-    size = measure(body)
+    body, size, _ = named_body("neutral")
     light = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.1, "suns": 0.65}})
     assert too_heavy(DrawnGarment.of(size, moved(light, {"flare-skirt.suns": 0.12})))
     options: Any = {"rounds": ((1, 0.06),), "pairs": 4, "resolution": 8.0, "device": "cpu"}
@@ -87,8 +81,8 @@ def test_a_skirt_does_not_become_too_heavy_for_its_waist() -> None:
 @pytest.mark.parametrize("pictured", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_the_length_of_a_skirt_is_found_from_its_drape(pictured: bool, tmp_path: Path) -> None:
     """From points of it, or its silhouettes in two pictures. One of two proposals is another skirt, one is too long."""
-    body = build_body(neutral_shape())
-    fitting = Fitting(body, measure(body), resolution=6.0)
+    body, size, _ = named_body("neutral")
+    fitting = Fitting(body, size, resolution=6.0)
     skirt = design_from_dict({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"length": 0.5}})
     worn = fitting.worn(skirt)
     assert worn is not None
@@ -103,7 +97,7 @@ def test_the_length_of_a_skirt_is_found_from_its_drape(pictured: bool, tmp_path:
     apart = {}
     for count in (0, 2):
         rounds = ((2, 0.05), (1, 0.03))[:count]
-        found = search(target, proposals, lambda _: (body, fitting.size), rounds=rounds, **options)
+        found = search(target, proposals, lambda _: (body, size), rounds=rounds, **options)
         apart[count] = abs(found.drape.design.pencil_skirt.length - 0.5)
     assert apart[0] > 0.05
     assert apart[2] < 0.3 * apart[0]

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from gcd_dataset.errors import ConfigError, DrapeError, SpecError
-from gcd_dataset.generator import Fitting, build_body, measure
-from gcd_dataset.generator.body import neutral_shape
+from gcd_dataset.generator import Fitting
+from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drawing import png_bytes
 from gcd_dataset.generator.garments import GarmentDesign, design_from_dict
 from gcd_dataset.generator.jacobian import Draped, Worn
@@ -39,8 +39,8 @@ def cut_out(folder: Path, mesh: BoxMesh, vertices: np.ndarray, body: Body) -> No
 @pytest.fixture(scope="module")
 def worn() -> Worn:
     """A skirt before its drape."""
-    body = build_body(neutral_shape())
-    found = Fitting(body, measure(body), resolution=6.0).worn(design_from_dict({"meta": {"bottom": "PencilSkirt"}}))
+    body, size, _ = named_body("neutral")
+    found = Fitting(body, size, resolution=6.0).worn(design_from_dict({"meta": {"bottom": "PencilSkirt"}}))
     assert found is not None
     return found
 

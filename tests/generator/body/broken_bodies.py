@@ -118,13 +118,12 @@ def _arms_down(body: Body, rng: np.random.Generator) -> _Mesh:
 
 
 def fused_by_scanner(body: Body, cell: float) -> _Mesh:
-    """The body as scanned by depth fusion: the surface of filled cells of ``cell`` cm, one vertex per cell corner.
+    """The body as scanned by depth fusion: the surface of the cells of ``cell`` cm that it fills or touches.
 
-    Surface nets (Gibson, 1998); parts that touch fuse together.
+    Surface nets (Gibson, 1998), one vertex per cell corner; parts that touch fuse together.
     """
-    low = body.vertices.min(axis=0) - 2 * cell
-    shape = np.ceil((body.vertices.max(axis=0) + 2 * cell - low) / cell).astype(int)
-    solid = _filled(body, low, shape, cell)
+    grown = trimesh.Trimesh(body.vertices, body.faces, process=False).voxelized(cell).fill()
+    solid, low = np.pad(grown.matrix, 1), grown.translation - 1.5 * cell
     quads = []
     for axis in range(3):
         beyond = np.roll(solid, -1, axis=axis)
@@ -149,36 +148,6 @@ def _smoothed(corners: np.ndarray, quads: np.ndarray, share: float) -> np.ndarra
     count = np.bincount(ends[:, 0], minlength=len(corners))[:, None]
     mean = np.stack([np.bincount(ends[:, 0], corners[ends[:, 1], i], len(corners)) for i in range(3)], axis=1) / count
     return corners + share * (mean - corners)
-
-
-def _filled(body: Body, low: np.ndarray, shape: np.ndarray, cell: float) -> np.ndarray:
-    """Mark the cells inside the body: a ray from the centre leaves more faces than it enters."""
-    corners = body.vertices[body.faces]
-    depth = np.zeros(tuple(shape), int)
-    nx, _, nz = shape
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    for x in range(nx):
-        px = low[0] + (x + 0.5) * cell
-        near = (corners[:, :, 0].min(axis=1) <= px) & (corners[:, :, 0].max(axis=1) > px)
-        for i in np.flatnonzero(near):
-            y0, y1 = corners[i, :, 1].min(), corners[i, :, 1].max()
-            rows = np.arange(
-                max(int(np.ceil((y0 - low[1]) / cell - 0.5)), 0), int(np.floor((y1 - low[1]) / cell - 0.5)) + 1
-            )
-            if not len(rows):
-                continue
-            py = low[1] + (rows + 0.5) * cell
-            d = (b[i, 0] - a[i, 0]) * (c[i, 1] - a[i, 1]) - (c[i, 0] - a[i, 0]) * (b[i, 1] - a[i, 1])
-            if d == 0:
-                continue
-            s = ((px - a[i, 0]) * (c[i, 1] - a[i, 1]) - (c[i, 0] - a[i, 0]) * (py - a[i, 1])) / d
-            t = ((b[i, 0] - a[i, 0]) * (py - a[i, 1]) - (px - a[i, 0]) * (b[i, 1] - a[i, 1])) / d
-            hit = (s >= 0) & (t > 0) & (s + t <= 1)
-            z = a[i, 2] + s * (b[i, 2] - a[i, 2]) + t * (c[i, 2] - a[i, 2])
-            for row, height in zip(rows[hit], z[hit], strict=True):
-                first = int(np.clip(np.ceil((height - low[2]) / cell - 0.5), 0, nz))
-                depth[x, row, first:] += -1 if d > 0 else 1
-    return depth > 0
 
 
 KINDS: Mapping[str, _Damage] = {

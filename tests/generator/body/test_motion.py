@@ -164,9 +164,8 @@ def test_a_frame_beyond_the_limits_is_named(tmp_path: Path) -> None:
     path = tmp_path / "kick.bvh"
     bend = rig().axes[BONES.index("left_shin"), :, 0]
     path.write_text(bvh(A_POSE, [{"left_shin": Rotation.from_rotvec(angle * bend)} for angle in (0.0, 0.4, 0.9)]))
-    with pytest.raises(
-        BodyError, match=r"kick.bvh, frame 3: left_shin has a bend of 51.6°: give one from -135° to 10°"
-    ):
+    message = r"kick.bvh, frame 3: left_shin has a bend of 51.6°: give one from -135° to 10°"
+    with pytest.raises(BodyError, match=message):
         read_motion(path)
     path.write_text(bvh(A_POSE, [{"left_shin": Rotation.from_rotvec(0.4 * bend)}]))
     assert angles(read_motion(path))[0, BONES.index("left_shin"), 0] == pytest.approx(10.0)

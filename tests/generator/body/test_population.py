@@ -7,13 +7,7 @@ import pytest
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.body.shape import (
-    T_POSE,
-    adults_of,
-    draw_from,
-    named_shape,
-    weights_of,
-)
+from gcd_dataset.generator.body.shape import T_POSE, adults_of, draw_from, named_shape, weights_of
 from gcd_dataset.seeding import Stage, rng
 from tools.body_model.calibrate import flank_stretch
 from tools.body_model.survey import HANGING, shoulder_breadths, shoulders_of, survey_measures, survey_of
@@ -50,9 +44,11 @@ def require_the_surveys_statistics(group: str, people: int) -> None:
 
 
 @pytest.mark.parametrize("sex", ["female", "male"])
-def test_no_adult_has_a_ledge_at_the_hips(sex: str) -> None:
+def test_adults_stay_within_the_range_of_the_model_and_none_has_a_ledge_at_the_hips(sex: str) -> None:
     """The flanks between hips and waist keep over half of the mean body's height; once 3 % of women kept a quarter."""
     adults, stretch, chance = adults_of(sex), flank_stretch(), np.random.default_rng(0)
+    assert np.linalg.norm(adults.axes, axis=0).max() < 2.5  # standard deviations of the model
+    assert np.abs(adults.mean).max() < 4.0
     heights = [1.0 + stretch @ weights_of(adults, chance.standard_normal(len(stretch))) for _ in range(500)]
     assert min(heights) > 0.5
     assert max(heights) < 1.6
@@ -68,31 +64,20 @@ def test_random_bodies_are_the_women_and_men_of_their_streams() -> None:
     assert kinds.count("female") == pytest.approx(12, abs=3 * np.sqrt(24) / 2)
 
 
-def test_the_groups_draw_different_bodies_from_one_stream() -> None:
+def test_the_groups_draw_different_bodies_from_one_stream_and_an_unknown_one_is_an_error() -> None:
     women, men, pool = (draw_shape(rng(3, 5, Stage.BODY), group=group) for group in ("female", "male", "pooled"))
     assert women != men
     assert np.linalg.norm(pool.weights) < 0.7 * 3 * np.sqrt(len(pool.weights))
     assert women.arm_angle == men.arm_angle == pool.arm_angle
-
-
-def test_the_error_of_an_unknown_group_lists_the_known_ones() -> None:
     with pytest.raises(BodyError, match="'Female': give random, female, male, pooled"):
         draw_shape(rng(0, 0, Stage.BODY), group="Female")
-
-
-def test_adults_stay_within_the_range_of_the_model() -> None:
-    for sex in ("female", "male"):
-        adults = adults_of(sex)
-        assert np.linalg.norm(adults.axes, axis=0).max() < 2.5  # standard deviations of the model
-        assert np.abs(adults.mean).max() < 4.0
 
 
 def test_shoulder_points_approach_each_other_as_the_arms_rise() -> None:
     """Thus the shoulder width of the A-pose is less than a survey's breadth with hanging arms."""
     shape = neutral_shape()
-    widths = [
-        shoulder_breadths(build_body(replace(shape, arm_angle=angle)))["biacromial"] for angle in (HANGING, 0.0, T_POSE)
-    ]
+    bodies = [build_body(replace(shape, arm_angle=angle)) for angle in (HANGING, 0.0, T_POSE)]
+    widths = [shoulder_breadths(body)["biacromial"] for body in bodies]
     assert widths[0] > widths[1] + 2.0 > widths[2] + 4.0
 
 

@@ -40,11 +40,12 @@ def joint(body: Body, bone: str) -> np.ndarray:
     return np.asarray((rig().carriers @ body.vertices)[BONES.index(bone)])
 
 
-def test_the_rig_is_small_and_matches_its_checksum() -> None:
+def test_body_and_rig_are_small_and_match_their_checksums() -> None:
     folder = files("gcd_dataset.generator") / "data"
-    content = (folder / "rig.npz").read_bytes()
-    assert len(content) < 25e3
-    assert hashlib.sha256(content).hexdigest() == (folder / "rig.npz.sha256").read_text().split()[0]
+    for name, most in (("body.npz", 2e6), ("rig.npz", 25e3)):
+        content = (folder / name).read_bytes()
+        assert len(content) < most
+        assert hashlib.sha256(content).hexdigest() == (folder / f"{name}.sha256").read_text().split()[0]
     assert len(BONES) <= 60
     assert list(dict.fromkeys(side_and_kind(bone)[1] for bone in BONES)) == list(TREE)
     assert BONES[: len(TRUNK)] == TRUNK
@@ -175,14 +176,23 @@ def test_poses_of_a_file(tmp_path: Path) -> None:
     assert named_pose(one).turns == read_poses(several)[0].turns
     with pytest.raises(BodyError, match=r"several\.json: holds 2 poses: give a file of one"):
         named_pose(several)
+    one.write_text('{"right_upper_arm": [0, 60, 0], "forearm": [30, 0, 0]}')
+    turns = named_pose(one).turns
+    assert set(turns) == {"right_upper_arm", "left_forearm", "right_forearm"}
+    assert turns["right_upper_arm"] == pytest.approx((0.0, np.pi / 3, 0.0))
+    with pytest.raises(BodyError, match="no pose named lotus"):
+        named_pose("lotus")
     for text, told in (
         ("[]", "an empty list"),
         ("[{}, 3]", r"one.json:2: not an object"),
         ('{"tail": [0]}', "no bone"),
+        ('{"forearm": "bent"}', "three numbers"),
+        ("[1]", "not an object of bones"),
+        ("{", "one.json"),
     ):
         one.write_text(text)
         with pytest.raises(BodyError, match=told):
-            read_poses(one)
+            named_pose(one)
 
 
 def test_standing_poses_vary_and_stand_on_both_soles(woman: Body) -> None:
@@ -205,20 +215,6 @@ def test_standing_poses_vary_and_stand_on_both_soles(woman: Body) -> None:
 def test_impossible_poses_are_refused(woman: Body, turns: dict, told: str) -> None:
     with pytest.raises(BodyError, match=told):
         pose_body(woman, Pose(turns))
-
-
-def test_pose_files(tmp_path: Path) -> None:
-    path = tmp_path / "wave.json"
-    path.write_text('{"right_upper_arm": [0, 60, 0], "forearm": [30, 0, 0]}')
-    turns = named_pose(path).turns
-    assert set(turns) == {"right_upper_arm", "left_forearm", "right_forearm"}
-    assert turns["right_upper_arm"] == pytest.approx((0.0, np.pi / 3, 0.0))
-    for text, told in (('{"forearm": "bent"}', "three numbers"), ("[1]", "not an object of bones"), ("{", "wave.json")):
-        path.write_text(text)
-        with pytest.raises(BodyError, match=told):
-            named_pose(path)
-    with pytest.raises(BodyError, match="no pose named lotus"):
-        named_pose("lotus")
 
 
 def test_only_bodies_of_the_model_have_bones(woman: Body) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from gcd_dataset.bodyfiles import read_body_parts
 from gcd_dataset.errors import BodyError
@@ -48,15 +48,14 @@ def test_a_closed_skin_is_unchanged() -> None:
 
 
 def test_holes_are_closed_flat() -> None:
-    """The patch of a hole of width 2a in a a_ball of radius r lies r - sqrt(r² - a²) below the a_ball's surface."""
+    """The patch of a hole of width 2a in a ball of radius r lies r - sqrt(r² - a²) below the ball's surface."""
     skin = closed(a_ball(), without_cap(a_ball(), 3.0))
     assert is_whole(skin)
     (width,) = skin.hole_widths
     assert 6.0 < width < 9.0
     lowered = 20.0 - np.sqrt(20.0**2 - (width / 2) ** 2)
-    assert skin.vertices[-1] @ a_ball().vertices[a_ball().vertices[:, 2].argmax()] / 20.0 == pytest.approx(
-        20.0 - lowered, abs=0.1
-    )
+    pole = a_ball().vertices[a_ball().vertices[:, 2].argmax()]
+    assert skin.vertices[-1] @ pole / 20.0 == pytest.approx(20.0 - lowered, abs=0.1)
 
 
 @pytest.mark.parametrize("damage", ["flipped", "inward", "split", "both"])
@@ -98,9 +97,8 @@ def test_a_published_body_without_a_triangle_is_closed(examples: Path) -> None:
 
 
 def test_the_error_of_a_wide_hole_gives_size_and_position() -> None:
-    with pytest.raises(
-        BodyError, match=r"^a_ball: the skin is not closed: it has a hole \d+\.\d cm across about \(.*fill"
-    ):
+    message = r"^a_ball: the skin is not closed: it has a hole \d+\.\d cm across about \(.*fill"
+    with pytest.raises(BodyError, match=message):
         closed(a_ball(), without_cap(a_ball(), WIDEST_HOLE / 2 + 2.0))
 
 
@@ -138,7 +136,7 @@ def test_a_ball_has_no_fold_and_is_unchanged(ball: trimesh.Trimesh) -> None:
 
 
 def test_an_inverted_patch_is_flattened_and_the_rest_is_unchanged(ball: trimesh.Trimesh) -> None:
-    """A pole pulled over the skin beside it, as a nipple may be."""
+    """A pole pulled over the skin beside it, as a nipple may be. Folds first and creases later give the same skin."""
     skin = SkinMesh.of(ball.vertices, ball.faces)
     dented = ball.vertices.copy()
     pole = int(dented[:, 1].argmax())
@@ -146,20 +144,14 @@ def test_an_inverted_patch_is_flattened_and_the_rest_is_unchanged(ball: trimesh.
     assert is_folded(skin, dented)
     flat = flattened(skin, dented)
     assert not is_folded(skin, flat)
-    far = np.linalg.norm(ball.vertices - ball.vertices[pole], axis=1) > 5.0
-    assert np.array_equal(flat[far], dented[far])
-    assert np.linalg.norm(flat, axis=1) == pytest.approx(np.full(len(flat), 10.0), abs=1.0)
-
-
-def test_folds_first_and_creases_later_give_the_same_skin(ball: trimesh.Trimesh) -> None:
-    skin = SkinMesh.of(ball.vertices, ball.faces)
-    dented = ball.vertices.copy()
-    dented[int(dented[:, 1].argmax())] += [4.0, 0.0, 0.0]
     unfolded = skin.smoothed(dented, ROUNDS, resolve_creases=False)
     assert 0 < unfolded.rounds < ROUNDS
     for normals in (None, unfolded.normals):
         later = skin.smoothed(unfolded.vertices, unfolded.rounds, resolve_creases=True, normals=normals)
-        assert np.array_equal(later.vertices, flattened(skin, dented))
+        assert np.array_equal(later.vertices, flat)
+    far = np.linalg.norm(ball.vertices - ball.vertices[pole], axis=1) > 5.0
+    assert np.array_equal(flat[far], dented[far])
+    assert np.linalg.norm(flat, axis=1) == pytest.approx(np.full(len(flat), 10.0), abs=1.0)
 
 
 def groove(wall: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "v 3"]:
@@ -168,15 +160,12 @@ def groove(wall: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "v 3"]
     return np.stack([np.sign(across) * wall(np.abs(across)), np.abs(across), along], axis=-1).reshape(-1, 3)
 
 
-def groove_faces() -> Int[np.ndarray, "f 3"]:
+def test_crossed_walls_of_a_groove_are_separated_and_a_narrow_groove_is_unchanged() -> None:
+    """No face is inverted: the walls lean over the middle by a few degrees."""
     first = (np.arange(40)[:, None] * 31 + np.arange(30)).ravel()
     a, b, c, d = first, first + 1, first + 31, first + 32
-    return np.concatenate([np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)])
-
-
-def test_crossed_walls_of_a_groove_are_separated() -> None:
-    """No face is inverted: the walls lean over the middle by a few degrees."""
-    skin = SkinMesh.of(groove(lambda height: height), groove_faces())
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)])
+    skin = SkinMesh.of(groove(lambda height: height), faces)
     closed = groove(lambda height: 0.2 * height * (height - 0.4))
     assert not is_folded(skin, closed)
     assert len(intersecting(skin, closed))
@@ -185,10 +174,6 @@ def test_crossed_walls_of_a_groove_are_separated() -> None:
     assert (np.sign(parted[:, 0]) == np.sign(closed[:, 0])).mean() > 0.9
     upper = closed[:, 1] > 0.7
     assert np.array_equal(parted[upper], closed[upper])
-
-
-def test_a_narrow_groove_is_unchanged() -> None:
-    skin = SkinMesh.of(groove(lambda height: height), groove_faces())
     narrow = groove(lambda height: 0.01 * height)
     assert flattened(skin, narrow) is narrow
 

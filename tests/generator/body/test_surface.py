@@ -19,20 +19,15 @@ from gcd_dataset.generator.body.section import (
 )
 from gcd_dataset.generator.body.surface import SkinSurface, refine
 from gcd_dataset.generator.body.tailor import larger_thigh, over_back
-
-
-def torus() -> trimesh.Trimesh:
-    """A ring of radius 20 and thickness 2 · 5, standing in the plane z = 0."""
-    return trimesh.creation.torus(20.0, 5.0, major_sections=256, minor_sections=128)
+from tests.helpers import patch
 
 
 def test_nearest_points_of_a_box_with_large_triangles() -> None:
     box = trimesh.creation.box((40.0, 100.0, 20.0))
     points = np.array([(30.0, 11.0, 3.0), (1.0, 60.0, 2.0), (25.0, 55.0, 13.0), (19.0, 0.0, 0.0)])
     near = SkinSurface.of(box.vertices, box.faces).nearest(points)
-    assert near.points == pytest.approx(
-        np.array([(20.0, 11.0, 3.0), (1.0, 50.0, 2.0), (20.0, 50.0, 10.0), (20.0, 0, 0)])
-    )
+    expected = np.array([(20.0, 11.0, 3.0), (1.0, 50.0, 2.0), (20.0, 50.0, 10.0), (20.0, 0, 0)])
+    assert near.points == pytest.approx(expected)
     assert near.distances == pytest.approx([10.0, 10.0, np.hypot(np.hypot(5, 5), 3), 1.0])
     assert np.all(near.faces < len(box.faces))
 
@@ -46,7 +41,8 @@ def test_subdivision_of_slivers_is_bounded() -> None:
 
 
 def test_two_loops_of_a_torus_are_distinguished() -> None:
-    shape = torus()
+    """A ring of radius 20 and thickness 2 · 5, standing in the plane z = 0."""
+    shape = trimesh.creation.torus(20.0, 5.0, major_sections=256, minor_sections=128)
     cut = section(shape.vertices, shape.faces, 1, 0.01)
     loop = loops(cut)
     assert len(np.unique(loop)) == 2
@@ -110,11 +106,12 @@ def test_a_scan_is_welded_and_its_holes_are_patched() -> None:
     assert scan.vertices[scan.source[5 * 3 + 1]] == pytest.approx(corner)
 
 
-def test_an_empty_scan_is_an_error() -> None:
+def test_an_empty_scan_and_one_with_an_invalid_vertex_are_errors() -> None:
     with pytest.raises(BodyError, match="0 triangles with an area"):
         BodyScan.of(np.zeros((3, 3)), np.array([[0, 1, 2]]), "flat")
-    with pytest.raises(BodyError, match="names vertex 3 of 3"):
-        BodyScan.of(np.zeros((3, 3)), np.array([[0, 1, 3]]), "flat")
+    for odd in (3, -7, 10**6):
+        with pytest.raises(BodyError, match=f"flat: a face names vertex {odd} of 3"):
+            BodyScan.of(np.zeros((3, 3)), np.array([[0, 1, 2], [0, odd, 2]]), "flat")
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
@@ -132,39 +129,27 @@ def test_a_refined_closed_mesh_stays_closed_and_keeps_its_vertices(share: float)
 
 def test_a_flat_sheet_is_refined_evenly() -> None:
     """In a regular flat lattice Loop's weights keep the plane and put new vertices at the midpoints of edges."""
-    rows = np.array([(i + 0.5 * j, j * np.sqrt(3) / 2) for j in range(7) for i in range(7)])
-    vertices = np.column_stack([rows, np.zeros(49)])
-    cell = np.array([7 * j + i for j in range(6) for i in range(6)])
-    faces = np.concatenate([np.stack([cell, cell + 1, cell + 7], 1), np.stack([cell + 1, cell + 8, cell + 7], 1)])
-    inner = ((vertices[faces].mean(axis=1)[:, 1] > 1.5) & (vertices[faces].mean(axis=1)[:, 1] < 3.5)).nonzero()[0]
-    marked = np.zeros(len(faces), bool)
-    marked[inner[len(inner) // 2]] = True
-    matrix, _ = refine(faces, marked, 49)
-    face = faces[marked][0]
-    middles = (vertices[face] + vertices[np.roll(face, -1)]) / 2
+    lattice = patch(6, 6, place=np.array([(1.0, -0.5), (0.0, 0.5 * np.sqrt(3)), (0.0, 0.0)]))
+    vertices, faces = lattice.vertices, lattice.faces
+    middle = np.linalg.norm(vertices[faces].mean(axis=1) - vertices.mean(axis=0), axis=1).argmin()
+    matrix, _ = refine(faces, np.arange(len(faces)) == middle, 49)
+    middles = (vertices[faces[middle]] + vertices[np.roll(faces[middle], -1)]) / 2
     assert {tuple(p) for p in (matrix @ vertices)[49:].round(9)} == {tuple(p) for p in middles.round(9)}
 
 
-XZ = [0, 2]
-
-
-def cylinder(radius: float, *, sides: int = 512) -> trimesh.Trimesh:
+def cylinder(radius: float) -> trimesh.Trimesh:
     """A cylinder along y, 20 cm long, centred at the origin."""
-    shape = trimesh.creation.cylinder(radius, 20.0, sections=sides)
+    shape = trimesh.creation.cylinder(radius, 20.0, sections=512)
     shape.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     return shape
 
 
-def test_girth_of_a_cylinder() -> None:
+def test_girth_of_a_cylinder_which_has_none_above_its_end() -> None:
     shape = cylinder(12.0)
     cut = section(shape.vertices, shape.faces, 1, 3.0)
-    assert girth(cut[:, 0][:, XZ]) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
+    assert girth(cut[:, 0][:, [0, 2]]) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
     assert contour_length(cut) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
-
-
-def test_a_level_off_the_mesh_has_an_empty_section() -> None:
-    shape = trimesh.creation.box((1.0, 1.0, 1.0))
-    assert section(shape.vertices, shape.faces, 1, 9.0).shape == (0, 2, 3)
+    assert section(shape.vertices, shape.faces, 1, 10.5).shape == (0, 2, 3)
 
 
 def test_a_tape_bridges_hollows_on_its_side_and_a_contour_does_not() -> None:
@@ -196,14 +181,10 @@ def test_half_a_circle_is_clipped_from_a_circle() -> None:
 
 
 def test_a_path_over_a_flat_sheet_is_straight_across_edges() -> None:
-    x, y = np.meshgrid(np.arange(11.0), np.arange(8.0))
-    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(88)], axis=1)
-    cell = np.array([11 * j + i for j in range(7) for i in range(10)])
-    faces = np.concatenate([np.stack([cell, cell + 1, cell + 12], 1), np.stack([cell, cell + 12, cell + 11], 1)])
-    graph = GeodesicGraph.over(faces, 0, 87, points_per_edge=4)
-    assert graph.length(vertices) == pytest.approx(np.hypot(10.0, 7.0), rel=0.005)
-    assert graph.without_detours(vertices, least=0.8).length(vertices) == pytest.approx(
-        graph.length(vertices), rel=1e-9
-    )
-    path = graph.path(vertices)
-    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(graph.length(vertices))
+    sheet = patch(10, 7)
+    graph = GeodesicGraph.over(sheet.faces, 0, 87, points_per_edge=4)
+    length = graph.length(sheet.vertices)
+    assert length == pytest.approx(np.hypot(10.0, 7.0), rel=0.005)
+    assert graph.without_detours(sheet.vertices, least=0.8).length(sheet.vertices) == pytest.approx(length, rel=1e-9)
+    path = graph.path(sheet.vertices)
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(length)

@@ -42,7 +42,6 @@ DRESS = {"upper": "Shirt", "bottom": "SkirtCircle"}
 LONG_SLEEVES = {"sleeveless": False, "length": 0.9, "cuff": {"type": "CuffBand", "cuff_len": 0.1}}
 GODETS = {"insert_depth": 10, "insert_w": 10}  # cm: the largest that fit into a doll's skirt
 DESIGNS: dict[str, Mapping[str, Any]] = {
-    "shirt": {"meta": SHIRT},
     "sleeveless": {"meta": SHIRT, "sleeve": {"sleeveless": True}, "collar": {"f_collar": "VNeckHalf"}},
     "sleeves": {"meta": SHIRT, "sleeve": {"sleeveless": False}},
     "gathered sleeves": {"meta": SHIRT, "sleeve": {"sleeveless": False, "connect_ruffle": 1.6, "sleeve_angle": 40}},
@@ -82,7 +81,6 @@ DESIGNS: dict[str, Mapping[str, Any]] = {
     },
     "open vest": {"meta": SHIRT, "front": {"closure": "open"}, "sleeve": {"sleeveless": True}},
     "flared shirt": {"meta": SHIRT, "shirt": {"flare": 1.4, "length": 2.0}},
-    "skirt": {"meta": SKIRT},
     "skirt, fitted band": {"meta": SKIRT | {"wb": "FittedWB"}, "waistband": {"width": 0.4}},
     "wide skirt": {"meta": SKIRT | {"wb": "StraightWB"}, "flare-skirt": {"suns": 1.8, "length": 0.5}},
     "skirt with a cut": {"meta": SKIRT, "flare-skirt": {"cut": {"add": True, "place": 0.3}}},
@@ -107,12 +105,6 @@ def wearer(request: pytest.FixtureRequest) -> Measurements:
 def woman() -> Measurements:
     """An adult of usual size."""
     return WOMAN
-
-
-@pytest.fixture
-def giant() -> Measurements:
-    """A man three times as tall."""
-    return WEARERS["giant"]
 
 
 @pytest.fixture(params=DESIGNS)

@@ -11,9 +11,10 @@ from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.wardrobe import Bottom
-from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern
+from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern, Seam
 
 BOTH = ("skirt_front", "skirt_back")
+TORSOS = ("right_ftorso", "left_ftorso", "right_btorso", "left_btorso")
 
 
 def skirt(
@@ -44,6 +45,11 @@ def ref_length(pattern: Pattern, ref: EdgeRef) -> float:
     """Length of one edge [cm]."""
     panel = pattern.panel(ref.panel)
     return curve_length(*panel.edge_ends(ref.edge), panel.edge(ref.edge).curve)
+
+
+def seams(pattern: Pattern, one: str, other: str) -> list[Seam]:
+    """The seams between two panels."""
+    return [seam for seam in pattern.seams if {seam.left.panel, seam.right.panel} == {one, other}]
 
 
 def ends(panel: Panel, edge: str) -> tuple[tuple[float, float], tuple[float, float]]:

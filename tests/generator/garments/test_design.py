@@ -74,19 +74,15 @@ def test_help_names_every_parameter_with_its_meaning() -> None:
     assert "cuff.cuff_len: a number from 0.05 to 0.9; default 0.1 with probability 0.3. Length, as a frac" in shown
 
 
-def many(count: int = 2000) -> list[HemDesign]:
-    rng = np.random.default_rng(3)
-    return [draw(HemDesign, rng) for _ in range(count)]
-
-
 def test_defaults_keep_their_probability_and_other_values_are_equally_likely() -> None:
-    drawn = many()
+    rng = np.random.default_rng(3)
+    drawn = [draw(HemDesign, rng) for _ in range(2000)]
     assert np.mean([d.depth == 2.0 for d in drawn]) == pytest.approx(0.7, abs=0.03)
     assert np.mean([d.rows == 2 for d in drawn]) == pytest.approx(0.5, abs=0.03)
     assert np.mean([d.stitched for d in drawn]) == pytest.approx(0.8, abs=0.03)
-    rows = [d.rows for d in many() if d.rows != 2]
+    rows = [d.rows for d in drawn if d.rows != 2]
     assert [rows.count(n) / len(rows) for n in (1, 3, 4)] == pytest.approx([1 / 3] * 3, abs=0.04)
-    shapes = [d.shape for d in many()]
+    shapes = [d.shape for d in drawn]
     assert [shapes.count(s) / len(shapes) for s in (None, *Shape)] == pytest.approx([1 / 3] * 3, abs=0.03)
 
 
@@ -216,15 +212,7 @@ def test_a_part_is_drawn_alone_within_limits(workwear: Overlay) -> None:
     assert redrawn(pants, draw(pants, rng), "length", rng, high=0.3).length == 0.7
 
 
-def test_an_overlay_survives_json_and_pickle(workwear: Overlay) -> None:
-    again = Overlay.from_dict(json.loads(json.dumps(workwear.to_dict())))
-    assert again == workwear
-    assert again.space == workwear.space
-    assert hash(again) == hash(workwear)
-    assert pickle.loads(pickle.dumps(workwear)) == workwear
-
-
-def test_every_change_survives_a_dict() -> None:
+def test_every_change_survives_json_and_pickle(workwear: Overlay) -> None:
     overlays: list[dict[str, Any]] = [
         {"pants": {"length": {"range": [0.7, 0.9], "keep": 0.1}}},
         {"pants": {"length": {"range": [0.7, 0.9], "keep": 0}}},
@@ -234,11 +222,11 @@ def test_every_change_survives_a_dict() -> None:
         {"flare-skirt": {"cut": {"add": True}, "skirt-many-panels": {"panel_curve": {"options": [0, 0.15]}}}},
         {"godet-skirt": {"num_inserts": 8, "insert_w": {"range": [10, 10]}}},
     ]
-    for values in overlays:
-        overlay = Overlay.from_dict(values)
-        assert Overlay.from_dict(overlay.to_dict()) == overlay
+    for overlay in (workwear, *map(Overlay.from_dict, overlays)):
+        again = Overlay.from_dict(json.loads(json.dumps(overlay.to_dict())))
+        assert overlay == again == pickle.loads(pickle.dumps(overlay))
+        assert (again.space, hash(again)) == (overlay.space, hash(overlay))
         assert drawn_from(overlay, 3)
-    assert Overlay().to_dict() == {}
 
 
 def test_the_order_of_a_file_does_not_matter() -> None:
@@ -250,8 +238,8 @@ def test_the_order_of_a_file_does_not_matter() -> None:
 
 def test_an_overlay_can_fix_none() -> None:
     overlay = Overlay.from_dict({"meta": {"wb": {"options": ["none", "FittedWB"], "keep": 0.5}, "upper": "none"}})
-    assert {design.meta.wb for design in drawn_from(overlay, 50)} == {None, Waistband.FITTED}
-    assert {design.meta.upper for design in drawn_from(overlay, 50)} == {None}
+    drawn = {(design.meta.upper, design.meta.wb) for design in drawn_from(overlay, 50)}
+    assert drawn == {(None, None), (None, Waistband.FITTED)}
 
 
 def test_an_excluded_default_loses_its_probability_or_becomes_the_nearest_value() -> None:
@@ -432,10 +420,8 @@ def test_names_and_values_beyond_number_end_at_once() -> None:
 
 
 BAD_FILES = {
-    "design:\n  shirt:\n    lenght: {v: 1.0}": r"is called shirt\.lenght: did you mean shirt\.length\?",
     "design:\n  shirt:\n    suns: {v: 1.0}": r"called shirt\.suns: did you mean flare-skirt\.suns\?",
     "design:\n  zzz: {v: 1.0}": r"called zzz: there are meta, waistband",
-    "design:\n  shirt:\n    length: {v: wide}": r"shirt\.length is 'wide', not a number from 0\.5 to 3\.5",
     "design:\n  shirt:\n    length: {range: [0, 1]}": r"shirt\.length has no value: write it as v",
     "design:\n  shirt:\n    strapless: {v: 1}": r"shirt\.strapless is 1, not one of True, False",
     "design:\n  shirt: 5": r"shirt is 5, not a table of parameters",

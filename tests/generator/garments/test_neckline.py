@@ -11,7 +11,7 @@ import pytest
 import shapely
 from jaxtyping import Float
 
-from gcd_dataset.curves import Arc, curve_points
+from gcd_dataset.curves import Arc, curve_points, signed_area
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.garments.collar import RAISED, Collar, CollarDesign, hood_outline
@@ -26,8 +26,8 @@ from gcd_dataset.generator.garments.neckline import (
     worn_neckline,
 )
 from gcd_dataset.generator.pattern import Stroke, s_shaped_cubic
-from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern, Seam
-from tests.generator.garments.measured import contour, ref_length
+from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern
+from tests.generator.garments.measured import contour, ref_length, seams
 
 SIZES = pytest.mark.parametrize(("half_width", "depth"), [(9.0, 1.5), (9.0, 9.0), (5.0, 30.0), (17.0, 20.0)])
 FLIPPED = pytest.mark.parametrize("flip", [False, True])
@@ -49,12 +49,6 @@ def points(strokes: list[Stroke]) -> Float[np.ndarray, "n 2"]:
 def direction(stroke: Stroke, t: float) -> float:
     x, y = stroke.velocity(t)
     return atan2(y, x)
-
-
-def mirrored_about_chord(line: Float[np.ndarray, "n 2"], chord: tuple[float, float]) -> Float[np.ndarray, "n 2"]:
-    along = np.array(chord) / hypot(*chord)
-    mirrored: Float[np.ndarray, "n 2"] = 2 * (line @ along)[:, None] * along - line
-    return mirrored
 
 
 @SIZES
@@ -96,7 +90,8 @@ def test_an_arc_turns_by_its_angle(half_width: float, depth: float, flip: bool, 
 @pytest.mark.parametrize("kind", [Neckline.CURVY, Neckline.ARC, Neckline.BEZIER])
 def test_flipped_necklines_are_images_about_their_chord(kind: Neckline) -> None:
     plain, flipped = (shape(kind, 9.0, 14.0, flip=flip) for flip in (False, True))
-    assert points(flipped) == pytest.approx(mirrored_about_chord(points(plain), (9.0, -14.0)))
+    along = np.array([9.0, -14.0]) / hypot(9.0, 14.0)
+    assert points(flipped) == pytest.approx(2 * (points(plain) @ along)[:, None] * along - points(plain))
 
 
 @SIZES
@@ -131,15 +126,12 @@ def test_the_sides_of_a_trapezoid_slope_by_its_angle(angle: int) -> None:
     assert bottom.start[1] == pytest.approx(bottom.end[1])
 
 
-def test_a_trapezoid_whose_sides_meet_before_the_bottom_is_a_v() -> None:
+def test_a_trapezoid_whose_sides_meet_before_the_bottom_is_a_v_and_a_square_goes_down_and_across() -> None:
+    down, across = shape(Neckline.SQUARE, 9.0, 12.0)
+    assert (down.chord, across.chord) == ((0.0, -12.0), (9.0, 0.0))
     meet = 9.0 * tan(radians(70))  # the depth at which sides of 110 degrees meet in the middle
     assert len(shape(Neckline.TRAPEZOID, 9.0, 0.99 * meet, angle=110)) == 2
     assert shape(Neckline.TRAPEZOID, 9.0, 1.01 * meet, angle=110) == shape(Neckline.V, 9.0, 1.01 * meet)
-
-
-def test_a_square_neckline_goes_straight_down_and_across() -> None:
-    down, across = shape(Neckline.SQUARE, 9.0, 12.0)
-    assert (down.chord, across.chord) == ((0.0, -12.0), (9.0, 0.0))
 
 
 def test_neckline_widths_run_from_half_the_neck_to_the_shoulders(wearer: Measurements) -> None:
@@ -163,9 +155,8 @@ def test_depths_are_counted_from_the_shoulders_outer_end(woman: Measurements) ->
 @FRONT
 def test_the_deepest_necklines_leave_a_centimetre_of_centre(wearer: Measurements, front: bool) -> None:
     design = NecklineDesign(fc_depth=2.0, bc_depth=2.0)
-    assert neckline_drop(wearer, design, front=front, room=20.0) == pytest.approx(
-        min(2.0 * wearer.drawn_bust_line, 19.0)
-    )
+    deepest = min(2.0 * wearer.drawn_bust_line, 19.0)
+    assert neckline_drop(wearer, design, front=front, room=20.0) == pytest.approx(deepest)
 
 
 def test_a_neckline_too_wide_for_the_shirt_is_an_error(woman: Measurements) -> None:
@@ -206,11 +197,6 @@ def top(
 def round_length(half_width: float, depth: float) -> float:
     """Length of half a round neckline: radius times angle [cm]."""
     return (half_width**2 + depth**2) / (2 * depth) * 2 * atan2(depth, half_width)
-
-
-def seams(pattern: Pattern, one: str, other: str) -> list[Seam]:
-    """The seams between two panels."""
-    return [seam for seam in pattern.seams if {seam.left.panel, seam.right.panel} == {one, other}]
 
 
 def named(panel: Panel, name: str) -> list[int]:
@@ -269,20 +255,17 @@ def test_a_lapel_stays_open_in_front_and_shows_its_wrong_side(woman: Measurement
 def test_a_lying_collar_continues_the_circle_of_the_neckline(woman: Measurements, bc_depth: float) -> None:
     pattern = top(woman, "SimpleLapel", collar={"bc_depth": bc_depth}, lapel_standing=False, depth=6)
     torso, collar = pattern.panel("right_btorso"), pattern.panel("right_collar_back")
-    (neck,) = [torso.edges[i].curve for i in named(torso, "neck")]
-    inner, outer = (collar.edges[named(collar, name)[0]].curve for name in ("top", "bottom"))
+    sides = ((torso, "neck"), (collar, "top"), (collar, "bottom"))
+    neck, inner, outer = (panel.edges[index].curve for panel, name in sides for index in named(panel, name))
     assert isinstance(neck, Arc) and isinstance(inner, Arc) and isinstance(outer, Arc)
-    assert inner.radius == pytest.approx(neck.radius)
-    assert outer.radius == pytest.approx(neck.radius + 6.0)
+    assert (inner.radius, outer.radius) == pytest.approx((neck.radius, neck.radius + 6.0))
 
 
 def test_a_lying_collar_lies_flat_with_its_outside_up(woman: Measurements) -> None:
     for side in ("right", "left"):
         collar = top(woman, "SimpleLapel", lapel_standing=False).panel(f"{side}_collar_back")
         assert abs(collar.placement.matrix[1, 2]) == pytest.approx(1.0)
-        x, y = contour(collar).T
-        area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))  # positive where the loop is counter-clockwise
-        assert area * collar.placement.matrix[1, 2] > 0
+        assert signed_area(contour(collar)) * collar.placement.matrix[1, 2] > 0
 
 
 @pytest.mark.parametrize(
@@ -306,12 +289,8 @@ def test_hoods_from_the_smallest_to_the_largest(
 def test_a_hood_does_not_cross_itself_above_four_half_widths(half_width: float) -> None:
     """In lower hoods a deep front neckline bulges past the edge of the opening."""
     for share in (0.3, 1.0, 2.0, 4.0):
-        depth = share * half_width
-        length = round_length(half_width, depth)
-        front, back = (
-            ((half_width, depth), length),
-            ((half_width, 0.2 * half_width), round_length(half_width, 0.2 * half_width)),
-        )
+        depths = (share * half_width, 0.2 * half_width)
+        front, back = (((half_width, depth), round_length(half_width, depth)) for depth in depths)
         outline = hood_outline(*front, *back, top=1.0, height=25.0)
         assert shapely.Polygon(outline.points()).is_valid
 

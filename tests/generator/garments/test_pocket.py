@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from gcd_dataset.errors import MeshError
-from gcd_dataset.faults import Severity, check_pattern
 from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.drape import DrapeJob, drape_batch
 from gcd_dataset.generator.garments import design_from_dict, design_to_dict, draw_garment, sample_design
-from gcd_dataset.generator.garments.drawn import described, garment_tags
+from gcd_dataset.generator.garments.drawn import described
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.pocket import LIFT
 from gcd_dataset.generator.mesh import build_box_mesh, coarsen
 from gcd_dataset.records import LineRole, Measurements, Outcome
-from tests.generator.garments.measured import ref_length
+from tests.generator.garments.measured import errors, ref_length
 
 POCKETS: dict[str, dict[str, Any]] = {
     "left_ftorso": {"meta": {"upper": "Shirt"}, "pocket": {"chest": "left"}},
@@ -26,7 +25,7 @@ POCKETS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("under", POCKETS)
 def test_a_pocket_lies_outside_on_its_panel_and_is_sewn_to_its_lines(woman: Measurements, under: str) -> None:
     pattern = draw_garment(woman, design_from_dict(POCKETS[under]))
-    assert not [fault for fault in check_pattern(pattern) if fault.severity is Severity.ERROR]
+    assert not errors(pattern)
     seams = [seam for seam in pattern.seams if seam.left.panel == f"{under}_pocket"]
     assert [line.role for line in pattern.panel(under).lines] == [LineRole.PLACEMENT] * 3
     assert len(seams) == 3
@@ -64,19 +63,16 @@ def test_a_draped_pocket_stays_outside(woman: Measurements, under: str) -> None:
     assert (drape.outcome, drape.self_crossings, drape.body_crossings) == (Outcome.SETTLED, 0, 0)
 
 
-def test_pockets_are_drawn_on_request_alone() -> None:
-    rng = np.random.default_rng
-    assert not any(sample_design(rng(seed)).pockets() for seed in range(8))
+def test_pockets_are_drawn_on_request() -> None:
     overlay = Overlay.from_dict({"meta": {"upper": "Shirt"}, "pocket": {"chest": "both"}})
-    design = sample_design(rng(0), overlay=overlay)
+    design = sample_design(np.random.default_rng(0), overlay=overlay)
     assert design.pockets() == ("right_ftorso", "left_ftorso")
     assert design_from_dict(design_to_dict(design)) == design
 
 
-def test_pockets_have_words_and_a_tag(woman: Measurements) -> None:
+def test_pockets_have_words(woman: Measurements) -> None:
     design = design_from_dict(POCKETS["left_ftorso"])
     pattern = draw_garment(woman, design)
     shirt, _ = described(woman, design, pattern)
     assert shirt is not None
     assert shirt.details[-1].words == ("a chest pocket on the left",)
-    assert "pockets" in garment_tags(woman, design, pattern)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.crossings import edge_hulls
-from gcd_dataset.curves import LINE, sample_curve
+from gcd_dataset.curves import signed_area
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.body.section import girth, section
 from gcd_dataset.generator.drape import DrapeConfig
@@ -37,19 +37,14 @@ from gcd_dataset.generator.garments.sewable import (
 )
 from gcd_dataset.generator.garments.tightness import FRICTION, STIFFNESS, hip_load, rings, strap_stretch, trunk_rings
 from gcd_dataset.generator.garments.trunk import girth_below_waist
-from gcd_dataset.records import BodyPart, Edge, Measurements, Panel, Pattern, Placement
-from tests.generator.garments.conftest import WEARERS
-
-SKIRT = {"upper": None, "bottom": "SkirtCircle"}
-SHIRT = {"upper": "Shirt"}
+from gcd_dataset.records import BodyPart, Measurements
+from tests.generator.garments.conftest import SHIRT, SKIRT, WEARERS
+from tests.generator.garments.measured import contour, edge_lengths, lengths
+from tests.generator.mesh.shapes import panel
 
 
 def reasons(size: Measurements, values: Mapping[str, Any]) -> list[str]:
-    return reasons_of(size, design_from_dict(values))
-
-
-def reasons_of(size: Measurements, design: GarmentDesign) -> list[str]:
-    return [reject.rule for reject in check_design(DrawnGarment.of(size, design))]
+    return [reject.rule for reject in check_design(DrawnGarment.of(size, design_from_dict(values)))]
 
 
 @pytest.mark.parametrize("wb", [None, "StraightWB"])
@@ -149,20 +144,15 @@ def test_sides_that_differ_without_gathers_are_rejected(woman: Measurements) -> 
 
 
 def test_the_corners_of_known_shapes(woman: Measurements) -> None:
-    triangle = polygon([(0, 0), (4, 0), (0, 3)])
+    triangle = panel("triangle", [(0, 0), (4, 0), (0, 3)])
     # Clockwise, and with a reflex corner.
-    crown = polygon([(0, 0), (0, 2), (1, 1), (2, 2), (2, 0)])
+    crown = panel("crown", [(0, 0), (0, 2), (1, 1), (2, 2), (2, 0)])
     angles = corner_angles([edge_hulls(triangle), edge_hulls(crown)])
     assert angles == pytest.approx([90.0, 36.87, 53.13, 90, 45, 270, 45, 90], abs=0.01)
     # Its corners alone, without its arcs, run the other way round.
     skirt = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1.9}})
     front = draw_garment(woman, skirt).panel("skirt_front")
     assert corner_angles([edge_hulls(front)]) == pytest.approx([90.0] * 4, abs=1.0)
-
-
-def polygon(corners: list[tuple[float, float]]) -> Panel:
-    edges = tuple(Edge(i, (i + 1) % len(corners), LINE) for i in range(len(corners)))
-    return Panel("polygon", np.array(corners, float), edges, Placement(np.zeros(3), np.zeros(3)))
 
 
 @pytest.mark.parametrize(("top_ruffle", "tight"), [(1.0, False), (2.0, True)])
@@ -172,9 +162,8 @@ def test_a_cuff_too_tight_for_the_leg_is_rejected(woman: Measurements, top_ruffl
     design = {"meta": {"upper": None, "bottom": "Pants"}, "pants": {"length": 0.9, "cuff": cuff}}
     assert reasons(woman, design) == (["tight_cuff"] if tight else [])
     pattern = draw_garment(woman, design_from_dict(design))
-    drawn = [panel for panel in pattern.panels if panel.name in ("pant_r_cuff_f", "pant_r_cuff_b")]
-    tops = [panel.edge_lengths()[i] for panel in drawn for i, e in enumerate(panel.edges) if e.name == "top"]
-    assert cuff_and_leg_girth(woman, design_from_dict(design).pants, 1.0)[0] == pytest.approx(sum(tops))
+    top = lengths(pattern, "top", ("pant_r_cuff_f", "pant_r_cuff_b"))
+    assert cuff_and_leg_girth(woman, design_from_dict(design).pants, 1.0)[0] == pytest.approx(top)
 
 
 @pytest.mark.parametrize("upper", ["Shirt", "FittedShirt"])
@@ -193,14 +182,9 @@ def test_the_widest_neckline_leaves_three_centimetres_of_shoulder(woman: Measure
     wide = design_from_dict({"meta": {"upper": upper}, "collar": {"width": 1.0}, "shirt": {"width": 1.3}})
     width = widest_neckline(woman, wide, wide.right_half())
     pattern = draw_garment(woman, replace(wide, collar=replace(wide.collar, width=width)))
-    seams = [
-        panel.edge_lengths()[i]
-        for panel in pattern.panels
-        for i, edge in enumerate(panel.edges)
-        if edge.name == "shoulder"
-    ]
-    assert min(seams) == pytest.approx(SHORTEST_SHOULDER, abs=1e-5)
-    assert min(seams) >= SHORTEST_SHOULDER
+    shortest = min(width for panel in pattern.panels for width in edge_lengths(panel, "shoulder"))
+    assert shortest == pytest.approx(SHORTEST_SHOULDER, abs=1e-5)
+    assert shortest >= SHORTEST_SHOULDER
 
 
 @pytest.mark.parametrize("upper", ["Shirt", "FittedShirt"])
@@ -210,8 +194,8 @@ def test_a_neckline_is_narrowed_if_and_only_if_its_shoulder_seam_is_too_short(
 ) -> None:
     """The length computed before drawing agrees with the drawn one, on sides that lean either way."""
     for width in np.linspace(0.3, 0.85, 12):
-        design = design_from_dict({"meta": {"upper": upper}, "collar": {"width": width}, "shirt": {"flare": flare}})
-        is_short = "narrow_shoulder" in reasons_of(woman, design)
+        values = {"meta": {"upper": upper}, "collar": {"width": width}, "shirt": {"flare": flare}}
+        design, is_short = design_from_dict(values), "narrow_shoulder" in reasons(woman, values)
         assert (widest_neckline(woman, design, design.right_half()) < inf) == is_short
 
 
@@ -255,15 +239,6 @@ def designed(meta: dict[str, Any], **sections: dict[str, Any]) -> GarmentDesign:
     return design_from_dict({"meta": meta, **{name.replace("_", "-"): values for name, values in sections.items()}})
 
 
-def area(panel: Panel) -> float:
-    """Area of a panel [m²], by the shoelace formula on its sampled edges."""
-    loop = np.concatenate(
-        [sample_curve(*panel.edge_ends(i), edge.curve, 200)[:-1] for i, edge in enumerate(panel.edges)]
-    )
-    x, y = loop.T
-    return 1e-4 * 0.5 * abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
-
-
 def test_the_limits_are_those_of_the_drape() -> None:
     usual = Fabric()
     assert usual.pull.warp / usual.density == pytest.approx(STIFFNESS)
@@ -273,17 +248,14 @@ def test_the_limits_are_those_of_the_drape() -> None:
 
 
 def test_a_strap_is_stretched_by_weight_over_width_and_stiffness(woman: Measurements) -> None:
-    """Hooke's law: all of the cloth hangs from the shoulder edges of four panels."""
+    """Hooke's law: all of the cloth hangs from the shoulder edges of four panels; a skirt alone from none."""
     design = designed(PANELLED, flare_skirt={"length": 0.5})
     drawn = draw_garment(woman, design)
-    edges = [(panel, i) for panel in drawn.panels for i, edge in enumerate(panel.edges) if edge.name == "shoulder"]
-    width = 0.01 * sum(float(panel.edge_lengths()[i]) for panel, i in edges)
-    newtons = Fabric().density * 9.81 * sum(map(area, drawn.panels))
-    assert len(edges) == 4
+    straps = [width for panel in drawn.panels for width in edge_lengths(panel, "shoulder")]
+    square_metres = 1e-4 * sum(abs(signed_area(contour(panel))) for panel in drawn.panels)
+    newtons, width = Fabric().density * 9.81 * square_metres, 0.01 * sum(straps)
+    assert len(straps) == 4
     assert strap_stretch(woman, design) - 1 == pytest.approx(newtons / (Fabric().pull.warp * width), rel=1e-3)
-
-
-def test_a_skirt_alone_hangs_from_no_strap(woman: Measurements) -> None:
     assert strap_stretch(woman, designed(BANDED)) == 1.0
 
 
@@ -301,30 +273,30 @@ def test_a_band_as_wide_as_the_hips_holds_nothing(woman: Measurements) -> None:
     assert held[2] == held[1]
 
 
+STRAPLESS: dict[str, Any] = {"meta": {"upper": "FittedShirt", "bottom": "SkirtCircle"}, "shirt": {"strapless": True}}
+
+
 @pytest.mark.parametrize(
-    ("meta", "loaded"),
+    ("sections", "loaded"),
     [
-        (BANDED, True),
-        ({**BANDED, "bottom": "Pants"}, False),  # the crotch holds trousers
-        ({**BANDED, "bottom": "PencilSkirt"}, False),
-        ({"upper": "Shirt", "bottom": "SkirtCircle"}, False),  # the shoulders hold a dress
+        ({"meta": BANDED}, True),
+        ({"meta": {**BANDED, "bottom": "Pants"}}, False),  # the crotch holds trousers
+        ({"meta": {**BANDED, "bottom": "PencilSkirt"}}, False),
+        ({"meta": {"upper": "Shirt", "bottom": "SkirtCircle"}}, False),  # the shoulders hold a dress
+        (STRAPLESS, True),
+        (STRAPLESS | {"left": {"enable_asym": True, "shirt": {"strapless": False}}}, False),  # one strap holds it
     ],
 )
-def test_the_hips_hold_flared_skirts_without_an_upper(woman: Measurements, meta: dict[str, Any], loaded: bool) -> None:
-    assert (hip_load(woman, designed(meta)) is not None) == loaded
-
-
-def test_the_hips_hold_a_strapless_dress_but_not_one_with_one_strap(woman: Measurements) -> None:
-    meta, strapless = {"upper": "FittedShirt", "bottom": "SkirtCircle"}, {"strapless": True}
-    assert hip_load(woman, designed(meta, shirt=strapless)) is not None
-    one_strap = {"enable_asym": True, "shirt": {"strapless": False}}
-    assert hip_load(woman, designed(meta, shirt=strapless, left=one_strap)) is None
+def test_the_hips_hold_flared_skirts_without_an_upper_or_straps(
+    woman: Measurements, sections: dict[str, Any], loaded: bool
+) -> None:
+    assert (hip_load(woman, designed(**sections)) is not None) == loaded
 
 
 def test_a_strapless_dress_must_stay_above_the_hips(woman: Measurements) -> None:
     """A skirt may sink to the hips; a dress that sinks as far has left the bust."""
-    skirt = hip_load(woman, designed({"upper": None, "bottom": "SkirtCircle"}, flare_skirt={"rise": 1.0}))
-    dress = hip_load(woman, designed({"upper": "FittedShirt", "bottom": "SkirtCircle"}, shirt={"strapless": True}))
+    skirt = hip_load(woman, designed(SKIRT, flare_skirt={"rise": 1.0}))
+    dress = hip_load(woman, designed(**STRAPLESS))
     assert skirt is not None
     assert dress is not None
     assert dress.held < 0.6 * skirt.held
@@ -368,66 +340,47 @@ def test_tight_trouser_legs_are_no_ring_of_the_trunk(woman: Measurements) -> Non
 
 
 GODETS = {"insert_w": 11, "insert_depth": 19, "num_inserts": 4, "cuts_distance": 5}
-TIGHT: dict[str, dict[str, Any]] = {
-    "a hem with godets": {
-        "meta": {"upper": None, "wb": "FittedWB", "bottom": "GodetSkirt"},
-        "godet-skirt": {"base": "Skirt2", **GODETS},
-        "skirt": {"length": 0.4, "ruffle": 1.8},
-    },
-    "a pencil skirt": {
-        "meta": {"upper": None, "wb": "FittedWB", "bottom": "SkirtLevels"},
-        "levels-skirt": {"base": "PencilSkirt", "length": 0.7, "base_length_frac": 0.6},
-        "pencil-skirt": {"flare": 0.6},
-    },
-    "a skirt": {
-        "meta": {"upper": None, "wb": "FittedWB", "bottom": "Skirt2"},
-        "skirt": {"length": 0.3, "ruffle": 1.0, "flare": 0},
-    },
+TIGHT = {
+    "a hem with godets": designed(
+        {"wb": "FittedWB", "bottom": "GodetSkirt"},
+        godet_skirt={"base": "Skirt2", **GODETS},
+        skirt={"length": 0.4, "ruffle": 1.8},
+    ),
+    "a pencil skirt": designed(
+        {"wb": "FittedWB", "bottom": "SkirtLevels"},
+        levels_skirt={"base": "PencilSkirt", "length": 0.7, "base_length_frac": 0.6},
+        pencil_skirt={"flare": 0.6},
+    ),
+    "a skirt": designed({"wb": "FittedWB", "bottom": "Skirt2"}, skirt={"length": 0.3, "ruffle": 1.0, "flare": 0}),
 }
 """Name of the ring that is too tight to the design."""
 
 
-def tight(name: str) -> GarmentDesign:
-    return design_from_dict(TIGHT[name])
-
-
-def total_length(drawn: Pattern, panels: str, edges: str) -> float:
-    """Length of the edges of a name, of panels whose names begin with ``panels`` [cm]."""
-    chosen = [panel for panel in drawn.panels if panel.name.startswith(panels)]
-    return sum(
-        float(panel.edge_lengths()[i]) for panel in chosen for i, edge in enumerate(panel.edges) if edge.name == edges
-    )
-
-
 @pytest.mark.parametrize("name", TIGHT)
 def test_a_skirt_too_narrow_for_hips_or_legs_is_rejected(woman: Measurements, name: str) -> None:
-    found = try_on(woman, tight(name))
+    found = try_on(woman, TIGHT[name])
     assert isinstance(found, Reject)
     assert found.rule == "too_tight"
     assert name in found.figures
 
 
 def test_the_hem_with_godets_is_what_is_left_of_the_hem_and_the_godets(woman: Measurements) -> None:
-    design = tight("a hem with godets")
+    design = TIGHT["a hem with godets"]
     (ring,) = [ring for ring in rings(woman, design) if ring.name == "a hem with godets"]
     drawn = draw_garment(woman, design)
-    assert ring.cloth == pytest.approx(
-        total_length(drawn, "skirt_", "bottom") + total_length(drawn, "ins_skirt_", "hem")
-    )
+    godets = [panel.name for panel in drawn.panels if panel.name.startswith("ins_")]
+    assert ring.cloth == pytest.approx(lengths(drawn, "bottom") + lengths(drawn, "hem", godets))
 
 
 def test_the_narrowest_ring_of_a_tapered_base_is_its_hem(woman: Measurements) -> None:
-    design = tight("a pencil skirt")
+    design = TIGHT["a pencil skirt"]
     cloth = [ring.cloth for ring in rings(woman, design) if ring.name == "a pencil skirt"]
     drawn = draw_garment(woman, design)
-    base = sum(total_length(drawn, f"skirt_{side}", "bottom") for side in ("front", "back"))
-    levels = sum(total_length(drawn, f"skirt_{side}_0", "bottom") for side in ("front", "back"))
-    assert min(cloth) == pytest.approx(base - levels, rel=1e-3)
+    assert min(cloth) == pytest.approx(lengths(drawn, "bottom"), rel=1e-3)
 
 
 def test_a_skirt_without_gathers_is_as_wide_as_the_waist(woman: Measurements) -> None:
-    design = tight("a skirt")
-    own = set(rings(woman, design)) - set(trunk_rings(woman, design))
-    (ring,) = own
-    assert ring.cloth == pytest.approx(total_length(draw_garment(woman, design), "skirt_", "bottom"))
+    design = TIGHT["a skirt"]
+    (ring,) = set(rings(woman, design)) - set(trunk_rings(woman, design))
+    assert ring.cloth == pytest.approx(lengths(draw_garment(woman, design), "bottom"))
     assert ring.body == woman.hips

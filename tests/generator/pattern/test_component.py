@@ -3,20 +3,15 @@
 import numpy as np
 import pytest
 
+from gcd_dataset.curves import signed_area
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern import Component, Outline, Piece, assemble
 from gcd_dataset.records import EdgeRole, Panel, Pattern
 
 
 def rectangle(name: str, width: float = 20.0, height: float = 30.0) -> Piece:
-    outline = (
-        Outline.start(0, 0)
-        .line(width, 0, name="hem")
-        .line(width, height, name="left")
-        .line(0, height, name="top")
-        .close(name="right")
-    )
-    return Piece(name, outline)
+    outline = Outline.start(0, 0).line(width, 0, name="hem").line(width, height, name="left")
+    return Piece(name, outline.line(0, height, name="top").close(name="right"))
 
 
 def tube(name: str, y: float = 60.0) -> Component:
@@ -48,16 +43,12 @@ def test_an_assembled_tube_is_seen_from_outside_and_stays_in_place() -> None:
     """Loops run counter-clockwise, seams join the ends that face each other, the first corner is the origin."""
     pattern = assemble(tube("tube"), "tube")
     for panel in pattern.panels:
-        x, y = panel.vertices.T
-        area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
-        assert area * panel.placement.translation[2] > 0
-    pattern = assemble(tube("tube"), "tube")
+        assert signed_area(panel.vertices) * panel.placement.translation[2] > 0
+        assert panel.vertices[0].tolist() == [0.0, 0.0]
+        assert corner(panel, 0)[:2] == [-10.0, 60.0]
     assert not any(seam.right_wrong for seam in pattern.seams)
     for left, right in seam_ends(pattern):
         assert left[:2] == right[:2]
-    for panel in assemble(tube("tube"), "tube").panels:
-        assert panel.vertices[0].tolist() == [0.0, 0.0]
-        assert corner(panel, 0)[:2] == [-10.0, 60.0]
 
 
 def test_a_panel_sewn_inside_out_is_right_to_wrong() -> None:
@@ -74,45 +65,26 @@ def test_a_divided_edge_keeps_its_label_on_every_part() -> None:
     assert labelled == ["hem", "hem"]
 
 
-def test_an_edge_in_two_seams_is_an_error() -> None:
+def test_what_cannot_be_assembled_or_placed_is_an_error() -> None:
     front, back = rectangle("f").at(0, 0, 12), rectangle("b").at(0, 0, -12)
-    twice = Component.of(front, back).sewn(front.along("left"), back.along("left"))
+    both, whole = Component.of(front, back), Component.of(front)
+    once = both.sewn(front.along("left"), back.along("left"))
     with pytest.raises(PatternError, match="edge left of panel f is sewn twice"):
-        assemble(twice.sewn(front.along("left"), back.along("right")), "twice")
-
-
-def test_two_pieces_of_one_name_are_an_error() -> None:
+        assemble(once.sewn(front.along("left"), back.along("right")), "twice")
     with pytest.raises(PatternError, match="panels tube_b, tube_f appear twice"):
         Component.of(tube("tube"), tube("tube"))
-
-
-def test_a_mirror_image_lies_on_the_other_side() -> None:
-    right = Component.of(rectangle("right_sleeve").at(-40, 100, 15)).turned(0.5).moved((-3, 0, 0))
-    left = right.mirrored("right", "left")
-    expected = right.points() * [-1, 1, 1]
-    assert left.pieces[0].name == "left_sleeve"
-    assert left.points() == pytest.approx(expected)
+    with pytest.raises(PatternError, match="interface all lies in the middle of its component"):
+        whole.offering(all=front.along("hem", "left", "top", "right")).placed_by("all", tube("tube"), "hem", gap=5.0)
+    with pytest.raises(PatternError, match="no panel named b: there are f"):
+        assemble(whole.sewn(front.along("left"), back.along("left")), "half")
+    with pytest.raises(PatternError, match="no edge named lefft: there are hem, left, top, right"):
+        assemble(both.sewn(front.along("lefft"), back.along("left")), "misspelt")
 
 
 def test_placed_by_leaves_a_gap_on_the_interfaces_side() -> None:
     upper, lower = tube("upper", y=100.0), tube("lower", y=0.0)
     placed = lower.placed_by("top", upper, "hem", gap=5.0)
     assert placed.points("top")[:, 1] == pytest.approx(95.0)
-
-
-def test_an_interface_in_the_middle_of_its_component_cannot_be_placed() -> None:
-    whole = rectangle("square").at(-10, 0, 10)
-    everywhere = Component.of(whole).offering(all=whole.along("hem", "left", "top", "right"))
-    with pytest.raises(PatternError, match="interface all lies in the middle of its component"):
-        everywhere.placed_by("all", tube("tube"), "hem", gap=5.0)
-
-
-def test_a_seam_of_a_missing_panel_or_edge_is_an_error() -> None:
-    front, back = rectangle("f").at(0, 0, 12), rectangle("b").at(0, 0, -12)
-    with pytest.raises(PatternError, match="no panel named b: there are f"):
-        assemble(Component.of(front).sewn(front.along("left"), back.along("left")), "half")
-    with pytest.raises(PatternError, match="no edge named lefft: there are hem, left, top, right"):
-        assemble(Component.of(front, back).sewn(front.along("lefft"), back.along("left")), "misspelt")
 
 
 def test_gathers_shift_the_break_to_the_projected_lengths() -> None:
@@ -125,9 +97,13 @@ def test_gathers_shift_the_break_to_the_projected_lengths() -> None:
     assert xs == [-20.0, -20.0, -10.0, 20.0, 20.0]
 
 
-def test_a_component_turns_about_the_world_origin() -> None:
-    turned = rectangle("arm").at(10, 0, 5).turned(0.5 * np.pi)
+def test_a_component_turns_about_the_world_origin_and_its_mirror_image_lies_on_the_other_side() -> None:
+    turned = rectangle("right_sleeve").at(10, 0, 5).turned(0.5 * np.pi)
     assert turned.points("hem") == pytest.approx(np.array([[0.0, 10.0, 5.0], [0.0, 30.0, 5.0]]), abs=1e-9)
+    right = Component.of(turned).moved((-3, 0, 0))
+    left = right.mirrored("right", "left")
+    assert left.pieces[0].name == "left_sleeve"
+    assert left.points() == pytest.approx(right.points() * [-1, 1, 1])
 
 
 def test_an_interface_is_as_long_as_its_edges_together() -> None:
