@@ -289,7 +289,8 @@ def test_select_takes_any_iterable_of_indices_and_refuses_others_in_one_sentence
     for indices in ([1, 3], (1, 3), np.array([1, 3]), torch.tensor([1, -1]), iter([1, 3]), range(1, 4, 2)):
         assert [item["meta"]["index"] for item in ds.select(indices)] == [1, 3]
     several = r"select\(.*give indices or keys in a list, .* select by a condition with"
-    for one in (lambda item: True, "gcd_000000003", 1, 1.5, None, slice(2), torch.tensor(1), {}):
+    none: list[Any] = [lambda item: True, "gcd_000000003", 1, 1.5, None, slice(2), torch.tensor(1), {}]
+    for one in none:
         with pytest.raises(ConfigError, match=several):
             ds.select(one)
     for wrong in ([True] * 4, np.ones(3, bool), torch.ones(4, dtype=torch.bool), [4], [-5], [0.5], ["gcd_000000009"]):

@@ -12,7 +12,8 @@ from gcd_dataset.shards import BODIES, ShardReader
 from gcd_dataset.shards.body_set import decode_body_fields, decode_person, encode_person, mesh_bytes, read_set_mesh
 from gcd_dataset.shards.sections import pack, unpack
 from tests.shards import folders
-from tests.shards.people import MESH, RECIPE, fake_person, fill
+from tests.shards.folders import RECIPE
+from tests.shards.people import MESH, fake_person, fill
 
 ORIGIN = {"index": 3, "seed": 0, "recipe": RECIPE, "versions": {"gcd_dataset": "0"}}
 
