@@ -15,20 +15,8 @@ EXTREME_TEXTS = (
     b"[" * 3000, b'"../../x"', b'"\\u0000"', b"'a'",
 )  # fmt: skip
 NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
-EDITS = (
-    "flip",
-    "flip",
-    "overwrite",
-    "delete",
-    "repeat",
-    "move",
-    "zero",
-    "truncate",
-    "noise",
-    "integer",
-    "number",
-    "number",
-)
+RARE = ("overwrite", "delete", "repeat", "move", "zero", "truncate", "noise", "integer")
+EDITS = ("flip", "flip", *RARE, "number", "number")
 
 
 def mutated(content: bytes, chance: random.Random) -> bytes:

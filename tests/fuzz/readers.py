@@ -35,7 +35,7 @@ from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.jsonfile import read_toml
 from gcd_dataset.loaders import BodyDataset, GarmentDataset, GarmentLoader, Hdf5Garments, PublishedGarmentCodeData
 from gcd_dataset.records import Drape, Layer, Outcome, Outfit, Sample, WornGarment
-from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.codec import decode_field, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import FIELDS, fields_of, member_of
@@ -43,6 +43,7 @@ from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from gcd_dataset.viewer.garments import spec_album
 from gcd_dataset.viewer.server import Gallery
 from tests.release.published import pack
+from tests.shards.folders import contents, write_samples
 
 
 @dataclass(frozen=True)
@@ -90,10 +91,8 @@ def garments() -> tuple[Sample, ...]:
 
 def write_shards(folder: Path, *, count: int = COUNT) -> Path:
     """The first garments as a data set of one shard."""
-    with ShardWriter(folder, seed=3, recipe=recipe_of(replace(CONFIG, stage="drape", device="cpu"))) as writer:
-        for sample in garments()[:count]:
-            writer.write(sample)
-    return folder
+    recipe = recipe_of(replace(CONFIG, stage="drape", device="cpu"))
+    return write_samples(folder, garments()[:count], seed=3, recipe=recipe)
 
 
 def small_body() -> trimesh.Trimesh:
@@ -117,16 +116,14 @@ def _shards(folder: Path, name: str, *, streaming: bool = False, together: bool 
     ``together``: read as a batch, for which columns are made.
     """
     data_set, cache = write_shards(folder / "data"), folder / "cache"
-    files = {path.relative_to(data_set): path.read_bytes() for path in data_set.rglob("*") if path.is_file()}
-    content = files.pop(Path(name))
-    files.pop(Path(without), None)
+    files = contents(data_set)
+    content = files.pop(name)
+    files.pop(without, None)
 
     def read(data: bytes) -> Any:
         for path in (data_set, cache):
             shutil.rmtree(path, ignore_errors=True)
-        for path, its in {**files, Path(name): data}.items():
-            (data_set / path).parent.mkdir(parents=True, exist_ok=True)
-            (data_set / path).write_bytes(its)
+        _write(data_set, {**files, name: data})
         dataset = GarmentDataset(data_set, streaming=streaming, cache_dir=cache)
         if together:
             return _plain(list(dataset.__getitems__(range(len(dataset)))))
@@ -145,8 +142,7 @@ def _items(dataset: Any) -> list[Any]:
 def _hdf5(folder: Path) -> Reader:
     """An HDF5 file, whose checksums only ``verify`` compares."""
     path = folder / "train.h5"
-    for _ in write_hdf5(ShardReader(write_shards(folder / "shards")), path):
-        pass
+    list(write_hdf5(ShardReader(write_shards(folder / "shards")), path))
     return _file(path, path.read_bytes(), lambda: _items(Hdf5Garments(path)))
 
 
@@ -231,21 +227,23 @@ def _published(folder: Path, ending: str, *, packed: bool = False) -> Reader:
 
 
 def _release(folder: Path) -> Path:
-    root = folder / "release"
-    for path, content in _release_files().items():
-        (root / path).parent.mkdir(parents=True, exist_ok=True)
-        (root / path).write_bytes(content)
-    return root
+    return _write(folder / "release", _release_files())
+
+
+def _write(folder: Path, files: Mapping[str, bytes]) -> Path:
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    return folder
 
 
 @cache
-def _release_files() -> Mapping[Path, bytes]:
+def _release_files() -> Mapping[str, bytes]:
     """Path in the release to content, of one garment."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder, "release")
-        for _ in export_published(exported_splits(write_shards(Path(folder, "shards"), count=1)), root):
-            pass
-        return {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+        list(export_published(exported_splits(write_shards(Path(folder, "shards"), count=1)), root))
+        return contents(root)
 
 
 def _specification(folder: Path) -> Reader:
@@ -312,8 +310,7 @@ def _body(folder: Path, changed: str) -> Reader:
         "measures.yaml": measurements_text(garments()[0].measurements).encode(),
         "parts.json": json.dumps(parts).encode(),
     }
-    for name, content in files.items():
-        (folder / name).write_bytes(content)
+    _write(folder, files)
     mesh = folder / (changed if changed.startswith("body") else "body.obj")
 
     def read() -> Any:
@@ -390,7 +387,7 @@ DOCUMENTS: dict[str, Callable[[bytes], Any]] = {
     name: yaml.safe_load if name in ("measurements", "design", "release-design", "release-labels") else json.loads
     for name in (
         *("specification", "manifest", "loader-state", "body-parts", "release-split", "member-meta", "sample-meta"),
-        *("sample-outer-spec", "sample-outer-design", "sample-measures", "landmarks", "viewer-design"),
+        *("sample-outer-spec", "sample-outer-design", "sample-measures", "landmarks"),
         *("measurements", "design", "release-design", "release-labels"),
     )
 }

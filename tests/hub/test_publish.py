@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import huggingface_hub
 import numpy as np
@@ -20,23 +21,18 @@ from gcd_dataset.hub.source import Repo
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import BodyShape, Sample
-from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.layout import garments_layout
 from gcd_dataset.shards.manifest import read_manifest
 from tests.hub.server import Fault, Hub, read_folder
-from tests.shards.folders import fake_outfit
+from tests.shards.folders import fake_outfit, flip, write_samples
 
 # A deprecation within ``huggingface_hub``.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
 
-NEUTRAL = neutral_shape()
 
-
-def put(folder: Path, samples: Iterable[Sample], *, split: str = "train", count: int | None = None) -> Path:
-    with ShardWriter(folder, split=split, seed=0, recipe={"stage": "drape"}, count=count, shard_size=8) as writer:
-        for one in samples:
-            writer.write(one)
-    return folder
+def put(folder: Path, samples: Iterable[Sample], **options: Any) -> Path:
+    return write_samples(folder, samples, recipe={"stage": "drape"}, shard_size=8, **options)
 
 
 def fill(folder: Path, numbers: range, *, seed: int = 0) -> Path:
@@ -57,7 +53,7 @@ def same(folder: Path, split: str, source: ShardReader) -> list[int]:
 
 def sample(index: int, *, design: int, body: int | None = None) -> Sample:
     """Garment ``index`` of a design on a body; ``None`` is the neutral body."""
-    shape = NEUTRAL if body is None else BodyShape(np.full(8, float(body + 1)))
+    shape = neutral_shape() if body is None else BodyShape(np.full(8, float(body + 1)))
     made = fake_sample(0, index)
     named = replace(made.provenance, body_name="neutral" if body is None else f"random:0:{body}")
     return replace(made, design={"skirt": {"number": design}}, shape=shape, provenance=named)
@@ -103,10 +99,7 @@ def test_outfits_that_share_a_garment_stay_together(tmp_path: Path) -> None:
     alone = replace(fake_sample(0, 3), pattern=coat.pattern, design=coat.design, box_mesh=None, drape=None)
     last = replace(fake_sample(0, 4), design=outfits[0].design)
     for name, samples in {"a": [*outfits, alone, last], "b": [alone, last], "c": outfits}.items():
-        layout, numbered = garments_layout(garments=2), {one.provenance.index: one for one in samples}
-        with ShardWriter(tmp_path / name, seed=0, recipe={}, layout=layout) as writer:
-            for _, one in sorted(numbered.items()):
-                writer.write(one)
+        write_samples(tmp_path / name, samples, layout=garments_layout(garments=2))
     assert families(traits_of(ShardReader(tmp_path / "a"))).tolist() == [0, 1, 2, 1, 0]
     readers = {name: ShardReader(tmp_path / name) for name in ("b", "c")}
     assert leaks(readers) == ["b and c share 2 designs"]
@@ -194,10 +187,7 @@ def test_a_damaged_copy_is_staged_again_and_a_damaged_original_refused(tmp_path:
     data = fill(tmp_path / "data", range(4))
     stage(data, "org/new", tmp_path / "up", shares=ALL)
     for folder in (tmp_path / "up", data):
-        path = next(folder.glob("train-*.tar"))
-        content = bytearray(path.read_bytes())
-        content[ShardReader(data).index.end[0] - 3000] ^= 1
-        path.write_bytes(content)
+        flip(next(folder.glob("train-*.tar")), ShardReader(data).index.end[0] - 3000)
         if folder != data:
             stage(data, "org/new", tmp_path / "up", shares=ALL)
             assert same(tmp_path / "up", "train", ShardReader(data)) == list(range(4))
@@ -284,14 +274,10 @@ def test_errors_of_the_hub_are_reported(hub: Hub, staged: Staged, monkeypatch: p
         upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
 
 
-@pytest.fixture
-def data(tmp_path: Path) -> Path:
-    return fill(tmp_path / "data", range(10))
-
-
 def test_publish_and_download(
-    hub: Hub, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    hub: Hub, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    data = fill(tmp_path / "data", range(10))
     monkeypatch.setenv("HF_TOKEN", hub.token)
     monkeypatch.chdir(tmp_path)
     before, here = read_folder(data), ["--endpoint", hub.endpoint]

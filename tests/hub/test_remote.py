@@ -12,7 +12,7 @@ from unittest.mock import Mock
 import fsspec
 import pytest
 
-from gcd_dataset.errors import ConfigError, MissingError, OutputError, RefusedError, RemoteError, ShardError
+from gcd_dataset.errors import ConfigError, GcdError, MissingError, OutputError, RefusedError, RemoteError, ShardError
 from gcd_dataset.hub import fetch
 from gcd_dataset.hub.download import download
 from gcd_dataset.hub.remote import MOST_SAMPLES, PARALLEL, Remote, RemoteStore, open_store
@@ -24,12 +24,17 @@ from gcd_dataset.shards.manifest import MANIFEST, Manifest, parse_manifest, read
 from gcd_dataset.shards.store import DOWNLOAD_FILE, FolderStore
 from tests.hub.conftest import COUNT, ensure, read, write_set
 from tests.hub.server import Fault, Hub, read_folder
+from tests.shards.folders import flip
 
 REPO = Repo("org/garments")
 
 
+def remote(hub: Hub, tmp_path: Path, **options: Any) -> Remote:
+    return Remote(endpoint=hub.endpoint, cache_dir=tmp_path / "cache", **options)
+
+
 def opened(hub: Hub, tmp_path: Path, source: Repo | Url = REPO, **options: Any) -> RemoteStore:
-    return RemoteStore(source, Remote(endpoint=hub.endpoint, cache_dir=tmp_path / "cache", **options))
+    return RemoteStore(source, remote(hub, tmp_path, **options))
 
 
 def url_of(hub: Hub) -> Url:
@@ -146,22 +151,20 @@ def test_what_is_cached_is_read_without_a_server(
 
 
 def test_missing_data_sets_and_options_out_of_place_are_reported(hub: Hub, commit: str, tmp_path: Path) -> None:
-    with pytest.raises(RefusedError, match="refused"):
-        opened(hub, tmp_path, Repo("org/nothing"))
-    with pytest.raises(MissingError, match=r"not found .* a data set becomes visible"):
-        opened(hub, tmp_path, replace(REPO, revision="v9"))
-    with pytest.raises(MissingError, match=r"not found .* becomes visible when its upload is complete"):
-        opened(hub, tmp_path, Url(f"{hub.endpoint}/files/none"))
+    sources: list[tuple[Repo | Url, dict[str, Any], type[GcdError], str]] = [
+        (Repo("org/nothing"), {}, RefusedError, "refused"),
+        (replace(REPO, revision="v9"), {}, MissingError, r"not found .* a data set becomes visible"),
+        (Url(f"{hub.endpoint}/files/none"), {}, MissingError, r"not found .* visible when its upload is complete"),
+        (Url("memory://x"), {}, ConfigError, "endpoint and token are for the Hub, not for memory://x"),
+        (REPO, {"max_cache_size": "lots"}, ConfigError, "max_cache_size=.*: give"),
+        (REPO, {"patience": -1}, ConfigError, "patience=.*: give"),
+        (REPO, {"patience": float("nan")}, ConfigError, "patience=.*: give"),
+    ]
+    for source, options, error, message in sources:
+        with pytest.raises(error, match=message):
+            opened(hub, tmp_path, source, **options)
     with pytest.raises(ShardError, match="no samples of split test: choose from train"):
         opened(hub, tmp_path).index("test")
-    options: list[tuple[str, Any]] = [("max_cache_size", "lots"), ("patience", -1), ("patience", float("nan"))]
-    for option, value in options:
-        with pytest.raises(ConfigError, match=f"{option}=.*: give"):
-            opened(hub, tmp_path, **{option: value})
-    with pytest.raises(ConfigError, match="endpoint and token are for the Hub, not for memory://x"):
-        opened(hub, tmp_path, Url("memory://x"))
-    with pytest.raises(ConfigError, match="patience is for URLs and the Hub"):
-        open_store(tmp_path, Remote(patience=3.0))
     hub.static["datasets/org/garments/resolve/main/manifest.json"] = hub.static["garments/manifest.json"]
     with pytest.raises(RemoteError, match=r"'' is not a commit of the Hub: check endpoint"):
         RemoteStore(REPO, Remote(endpoint=f"{hub.endpoint}/files", cache_dir=tmp_path / "other"))
@@ -233,10 +236,8 @@ def test_the_shard_used_longest_ago_is_evicted_with_its_columns(
 
 
 def test_any_store_of_fsspec_is_read(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    url, memory = f"memory://{tmp_path.name}", fsspec.filesystem("memory")
-    for name, content in read_folder(folder).items():
-        memory.pipe_file(f"/{tmp_path.name}/{name}", content)
-    store = RemoteStore(Url(url), Remote(cache_dir=tmp_path / "cache"))
+    fsspec.filesystem("memory").pipe({f"/{tmp_path.name}/{name}": data for name, data in read_folder(folder).items()})
+    store = RemoteStore(Url(f"memory://{tmp_path.name}"), Remote(cache_dir=tmp_path / "cache"))
     ensure(store)
     assert read(store, 3) == read(FolderStore(folder), 3)
     assert read(store, 3, views=True) == read(FolderStore(folder), 3, views=True)
@@ -263,10 +264,6 @@ def test_sources_are_parsed(tmp_path: Path) -> None:
         parse_source("x" * 5000)
 
 
-def remote(hub: Hub, tmp_path: Path) -> Remote:
-    return Remote(endpoint=hub.endpoint, cache_dir=tmp_path / "cache")
-
-
 def bring(hub: Hub, tmp_path: Path, source: Repo | Url = REPO, **options: Any) -> Path:
     download(source, tmp_path / "data", remote(hub, tmp_path), **options)
     return tmp_path / "data"
@@ -274,7 +271,7 @@ def bring(hub: Hub, tmp_path: Path, source: Repo | Url = REPO, **options: Any) -
 
 def put_up(hub: Hub, folder: Path) -> Url:
     hub.static = {f"garments/{name}": data for name, data in read_folder(folder).items()}
-    return Url(f"{hub.endpoint}/files/garments")
+    return url_of(hub)
 
 
 def without_record(folder: Path) -> dict[str, bytes]:
@@ -286,7 +283,7 @@ def test_a_download_equals_the_published_folder(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, from_url: bool
 ) -> None:
     reports: list[tuple[int, int]] = []
-    source = Url(f"{hub.endpoint}/files/garments") if from_url else REPO
+    source = url_of(hub) if from_url else REPO
     data = bring(hub, tmp_path, source, on_progress=lambda received, total: reports.append((received, total)))
     assert without_record(data) == read_folder(folder)
     total = sum(len(content) for name, content in read_folder(folder).items() if name.endswith(".tar"))
@@ -323,8 +320,7 @@ def test_splits_are_downloaded_one_by_one(hub: Hub, tmp_path: Path, caplog: pyte
 
 def test_root_downloads_first(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     def opened(source: str = "org/garments", **options: Any) -> Any:
-        options = {"endpoint": hub.endpoint, "cache_dir": tmp_path / "cache", **options}
-        return open_store(source, Remote(**options), root=tmp_path / "data", splits=["train"])
+        return open_store(source, remote(hub, tmp_path, **options), root=tmp_path / "data", splits=["train"])
 
     opened()
     hub.stop()
@@ -365,8 +361,7 @@ def test_a_killed_download_continues(hub: Hub, commit: str, folder: Path, tmp_pa
 
 def test_damaged_cut_and_missing_tars_are_downloaded_again(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     data = bring(hub, tmp_path)
-    content = (data / "train-00002.tar").read_bytes()
-    (data / "train-00002.tar").write_bytes(bytes([content[0] ^ 1]) + content[1:])  # of the right length
+    flip(data / "train-00002.tar", 0)
     (data / "train-00001.tar").unlink()
     (data / "views" / "train-00000.tar").write_bytes(b"cut")
     hub.log.clear()

@@ -12,10 +12,8 @@ from gcd_dataset.generator.drapers.draper import make_reply
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.pipeline import finish, prepare, view_requests
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
-from gcd_dataset.loaders.base import Item
 from gcd_dataset.records import Drape, Maps, Outcome, Sample
-from gcd_dataset.shards import ShardWriter
-from gcd_dataset.shards.layout import garments_layout
+from tests.shards.folders import write_samples
 
 SEED, SIZE, COUNT = 4, 48, 3
 CONFIG = MakeConfig(resolution=10.0, picture=0, points=16, views=2, view_size=SIZE, device="cpu")
@@ -60,30 +58,15 @@ def sample_of(reply: DrapeReply, config: MakeConfig = CONFIG) -> Sample:
 
 
 def write(folder: Path, made: Sequence[Sample], config: MakeConfig = CONFIG) -> Path:
-    with ShardWriter(
-        folder,
-        seed=SEED,
-        recipe=recipe_of(config),
-        layout=garments_layout(maps=config.maps, pose=bool(config.poses), views=config.views),
-    ) as writer:
-        for sample in made:
-            writer.write(sample)
-    return folder
+    return write_samples(folder, made, seed=SEED, recipe=recipe_of(config))
 
 
 def diverged(request: DrapeRequest) -> Drape:
     return Drape(np.full_like(request.job.box_mesh.vertices, np.nan), Outcome.DIVERGED, 1, 0, 0, np.nan, np.nan)
 
 
-def of_another_data_set(item: Item) -> Item:
-    """The same garment, at the same number of a data set of another seed."""
-    return {**item, "meta": {**item["meta"], "seed": item["meta"]["seed"] + 1}}
-
-
 def pattern_shards(folder: Path, count: int, *, seed: int = 0, shard_size: int = 1000) -> Path:
     """Write patterns 0 … ``count`` - 1 of a seed as shards; one takes 30 ms. Returns the folder."""
     config = MakeConfig(bodies="neutral", stage="pattern")
-    with ShardWriter(folder, split="train", seed=seed, recipe=recipe_of(config), shard_size=shard_size) as writer:
-        for index in range(count):
-            writer.write(make(seed, index, config))
-    return folder
+    samples = (make(seed, index, config) for index in range(count))
+    return write_samples(folder, samples, seed=seed, recipe=recipe_of(config), shard_size=shard_size)

@@ -1,8 +1,8 @@
 """Data sets of bodies: shards and the published folder give the same items."""
 
 import re
-import tarfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,11 @@ from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.records import MEASURES, BodyPart
+from gcd_dataset.shards.body_set import mesh_bytes
 from tests.loaders.test_shards import same
 from tests.release.published import publish_people, segmentation
-from tests.shards.people import MESH, fake_person, fill
+from tests.shards.people import MESH, fill
+from tests.shards.test_reader import flip_member
 
 COUNT = 3
 SEED = 5
@@ -41,12 +43,6 @@ def published(ours: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same people in the published layout."""
     ds = BodyDataset(ours)
     return publish_people(tmp_path_factory.mktemp("published") / "5000", [ds.person(i) for i in range(COUNT)], ds.mesh)
-
-
-@pytest.fixture
-def few(tmp_path: Path) -> Path:
-    """Two people of four vertices in the published layout."""
-    return publish_people(tmp_path / "few", [fake_person(0), fake_person(1)], MESH)
 
 
 def assert_same(item: Mapping[str, Any], other: Mapping[str, Any]) -> None:
@@ -90,15 +86,7 @@ def test_one_person_has_the_same_measures_in_both_poses(ours: Path) -> None:
         assert straight == pytest.approx(stored, abs=0.02)
         # Measures above the pelvis do not depend on the pose of the legs.
         above = [
-            "head_l",
-            "neck_w",
-            "shoulder_w",
-            "shoulder_incl",
-            "arm_length",
-            "wrist",
-            "bust",
-            "waist",
-            "waist_line",
+            *("head_l", "neck_w", "shoulder_w", "shoulder_incl", "arm_length", "wrist", "bust", "waist", "waist_line")
         ]
         assert {name: apart[name] for name in above} == pytest.approx({name: stored[name] for name in above}, abs=0.03)
         # Spread legs lower the body and move the feet apart.
@@ -139,11 +127,7 @@ def test_a_plain_loader_stacks_people(ours: Path, published: Path) -> None:
 
 def test_damage_is_named(tmp_path: Path) -> None:
     folder = fill(tmp_path, range(2))
-    with tarfile.open(folder / "train-00000.tar") as tar:
-        place = tar.getmember("gcd_000000001.person.z").offset_data + 30
-    shard = bytearray((folder / "train-00000.tar").read_bytes())
-    shard[place] ^= 1
-    (folder / "train-00000.tar").write_bytes(shard)
+    flip_member(folder, 1, "person.z")
     with pytest.raises(ShardError, match=r"sample gcd_000000001, member person\.z: bytes differ"):
         BodyDataset(folder)[1]
     with pytest.raises(ShardError, match=r"member person\.z"):
@@ -151,16 +135,12 @@ def test_damage_is_named(tmp_path: Path) -> None:
     assert BodyDataset(folder, fields=["straight"])[0]["straight"].shape == (4, 3)
 
 
-@pytest.mark.parametrize("content", [b"", b"(\xb5/\xfd", None])
-def test_a_damaged_mesh_is_named(tmp_path: Path, content: bytes | None) -> None:
-    folder, other = fill(tmp_path / "a", range(1)), fill(tmp_path / "b", range(1), mesh=own_mesh_of_four())
-    (folder / "mesh-train.z").write_bytes((other / "mesh-train.z").read_bytes() if content is None else content)
+@pytest.mark.parametrize("content", [b"", b"(\xb5/\xfd", mesh_bytes(replace(MESH, faces=MESH.faces[:, [1, 2, 0]]))])
+def test_a_damaged_mesh_is_named(tmp_path: Path, content: bytes) -> None:
+    folder = fill(tmp_path, range(1))
+    (folder / "mesh-train.z").write_bytes(content)
     with pytest.raises(ShardError, match=r"mesh-train\.z: not the mesh of"):
         BodyDataset(folder)
-
-
-def own_mesh_of_four() -> Any:
-    return type(MESH)(MESH.faces[:, [1, 2, 0]], MESH.parts)
 
 
 def test_the_published_layout_gives_the_same_items(ours: Path, published: Path, tmp_path: Path) -> None:
@@ -216,46 +196,34 @@ def test_a_missing_file_is_named(few: Path) -> None:
         without.person(0).body(without.mesh)
 
 
-def edited(path: Path, pattern: str, put: str) -> None:
-    text, count = re.subn(pattern, put, path.read_text(), count=1, flags=re.M)
+APART, META, WHOLE = "meshes/00001_apart.obj", "meta/00001_meta.json", r"(?s)\A.*\Z"
+
+
+@pytest.mark.parametrize(
+    ("file", "pattern", "put", "message"),
+    [
+        (APART, r"^v (\S+) ", "v nan ", "a position that is NaN or infinite"),
+        (APART, r"^v (\S+) \S+ \S+", r"v \1", "a vertex that is not three numbers"),
+        (APART, r"^f (.*)$", r"f \1 4", r"a face that is not a triangle \(f 1 3 2 4\)"),
+        (APART, r"^f (.*)$", "f 1 2 9", "a face with a vertex that is not one of its 4"),
+        (APART, r"^f (.*)$", "f 1 2 x", "a face without vertex numbers"),
+        (APART, r"^f (.*)$", "f 3 2 1", "its mesh differs from 00000_straight.obj: all people must be on one mesh"),
+        (APART, r"^v (\S+) (\S+) (\S+)$", r"v 0 0 0\nv \1 \2 \3", "its mesh differs from"),
+        (APART, r"^v (\S+) (1\.\S+) ", r"v \1 \g<2>e3 ", "m tall: published meshes are in metres"),
+        (META, WHOLE, "{", "no object with pca_weights"),
+        (META, WHOLE, "[]", "no object with pca_weights"),
+        (META, WHOLE, '{"pca_weights": [1.0]}', "arm_inclination"),
+        (META, WHOLE, '{"pca_weights": [], "arm_inclination": 1}', r"pca_weights \[\]"),
+        (META, WHOLE, '{"pca_weights": [NaN], "arm_inclination": 1}', r"pca_weights \[nan\]"),
+        (META, WHOLE, '{"pca_weights": [1.0], "arm_inclination": "1"}', "arm_inclination '1'"),
+    ],
+)
+def test_a_broken_mesh_and_broken_weights_are_named(few: Path, file: str, pattern: str, put: str, message: str) -> None:
+    text, count = re.subn(pattern, put, (few / file).read_text(), count=1, flags=re.M)
     assert count
-    path.write_text(text)
-
-
-@pytest.mark.parametrize(
-    ("pattern", "put", "message"),
-    [
-        (r"^v (\S+) ", "v nan ", "a position that is NaN or infinite"),
-        (r"^v (\S+) \S+ \S+", r"v \1", "a vertex that is not three numbers"),
-        (r"^f (.*)$", r"f \1 4", r"a face that is not a triangle \(f 1 3 2 4\)"),
-        (r"^f (.*)$", "f 1 2 9", "a face with a vertex that is not one of its 4"),
-        (r"^f (.*)$", "f 1 2 x", "a face without vertex numbers"),
-        (r"^f (.*)$", "f 3 2 1", "its mesh differs from 00000_straight.obj: all people must be on one mesh"),
-        (r"^v (\S+) (\S+) (\S+)$", r"v 0 0 0\nv \1 \2 \3", "its mesh differs from"),
-        (r"^v (\S+) (1\.\S+) ", r"v \1 \g<2>e3 ", "m tall: published meshes are in metres"),
-    ],
-)
-def test_a_broken_mesh_is_named(few: Path, pattern: str, put: str, message: str) -> None:
-    edited(few / "meshes" / "00001_apart.obj", pattern, put)
-    with pytest.raises(BodyError, match=rf"00001_apart\.obj: .*{message}"):
-        PublishedBodies(few)[1]
-
-
-@pytest.mark.parametrize(
-    ("meta", "message"),
-    [
-        ("{", "no object with pca_weights"),
-        ("[]", "no object with pca_weights"),
-        ('{"pca_weights": [1.0]}', "arm_inclination"),
-        ('{"pca_weights": [], "arm_inclination": 1}', r"pca_weights \[\]"),
-        ('{"pca_weights": [NaN], "arm_inclination": 1}', r"pca_weights \[nan\]"),
-        ('{"pca_weights": [1.0], "arm_inclination": "1"}', "arm_inclination '1'"),
-    ],
-)
-def test_broken_weights_are_named(few: Path, meta: str, message: str) -> None:
-    (few / "meta" / "00001_meta.json").write_text(meta)
-    with pytest.raises(BodyError, match=rf"00001_meta\.json: .*{message}"):
-        PublishedBodies(few, fields=["shape"])[1]
+    (few / file).write_text(text)
+    with pytest.raises(BodyError, match=rf"{file}: .*{message}"):
+        PublishedBodies(few, fields=["shape"] if file == META else None)[1]
 
 
 def test_bodies_in_the_published_layout_are_read(examples: Path) -> None:
@@ -269,9 +237,7 @@ def test_bodies_in_the_published_layout_are_read(examples: Path) -> None:
     assert item["straight"].shape == (23752, 3)
     assert ds.faces.shape == (47500, 3)
     assert item["measures"][height] == pytest.approx(173.175)
-    assert item["straight"][:, 1].max() == pytest.approx(
-        166.2, abs=0.1
-    )  # cm: the mean woman's mesh is used for this person
+    assert item["straight"][:, 1].max() == pytest.approx(166.2, abs=0.1)  # cm: of the mean woman's mesh
     assert ds.parts is not None
     assert (ds.parts == BodyPart.LEFT_ARM.value).sum() == 3094
     everybody = PublishedBodies(root, fields=["measures"])

@@ -34,8 +34,7 @@ B = 5
 
 @pytest.fixture(scope="module")
 def items() -> list[Any]:
-    ds = FakeGarments(B, seed=3)
-    return [ds[i] for i in range(B)]
+    return list(FakeGarments(B, seed=3))
 
 
 @pytest.fixture(scope="module")
@@ -118,13 +117,11 @@ def test_items_that_do_not_fit_together_are_refused(items: list[dict[str, Any]])
         collate_packed([items[0], undraped])
 
 
-def test_garments_without_a_mesh_make_a_batch(items: list[dict[str, Any]]) -> None:
+def test_garments_without_a_mesh_or_a_picture_make_a_batch(items: list[dict[str, Any]]) -> None:
+    """A picture without pixels is black among others."""
     mesh = ("faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box", "verts")
     bare = [{**item, **{field: item[field][:0] for field in mesh}} for item in items]
     assert collate_packed(bare)["faces"].shape == (0, 3)
-
-
-def test_a_picture_without_pixels_is_black_among_others(items: list[dict[str, Any]]) -> None:
     undraped = {**items[0], "front": torch.zeros((3, 0, 0), dtype=torch.uint8)}
     for collate in (collate_packed, collate_padded):
         front = collate([undraped, items[1]])["front"]
@@ -165,8 +162,9 @@ def test_nested_tensors_share_the_rows(items: list[dict[str, Any]], batch: Packe
     assert nested.values().data_ptr() == batch.verts.data_ptr()
     assert all(torch.equal(one, item["verts"]) for one, item in zip(nested.unbind(), items, strict=True))
     assert torch.equal(batch.owners("verts").bincount(), batch.verts_ptr.diff())
-    with pytest.raises(ConfigError, match="body is not a ragged field"):
-        batch.nested("body")
+    for give, field in ((batch.nested, "body"), (batch.varlen, "points"), (batch.varlen, "sleeves")):
+        with pytest.raises(ConfigError, match=rf"{field} is not a ragged field .* choose among panels"):
+            give(field)
 
 
 def test_padded_rows_are_those_of_the_garments(items: list[dict[str, Any]]) -> None:
@@ -195,7 +193,7 @@ def test_entries_that_a_transform_adds_are_listed() -> None:
     def add(item: dict[str, Any]) -> dict[str, Any]:
         return {"name": "x", "weight": torch.tensor(2.0), "mask": item["verts"][:, 0] > 0, "verts": item["verts"]}
 
-    items = [FakeGarments(B, fields=["verts"], transform=add)[i] for i in range(B)]
+    items: list[Any] = list(FakeGarments(B, fields=["verts"], transform=add))
     for batch in (collate_packed(items), collate_padded(items)):
         assert batch["name"] == B * ["x"]
         assert batch["weight"].tolist() == B * [2.0]
@@ -231,12 +229,6 @@ def test_varlen_attention_equals_attention_per_garment(
         own = heads[cu_seqlens[k] : cu_seqlens[k + 1]].transpose(0, 1)
         alone = torch.nn.functional.scaled_dot_product_attention(own, own, own).transpose(0, 1)
         assert torch.allclose(part, alone, atol=1e-6)
-
-
-def test_varlen_of_a_field_that_is_not_ragged_is_refused(batch: PackedBatch) -> None:
-    for field in ("points", "sleeves"):
-        with pytest.raises(ConfigError, match=rf"{field} is not a ragged field .* choose among panels"):
-            batch.varlen(field)
 
 
 @pytest.mark.parametrize("collate", [collate_packed, collate_padded])

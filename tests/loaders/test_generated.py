@@ -13,13 +13,13 @@ from gcd_dataset.captions import LEVELS, read_captions
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.faults import check_pattern
 from gcd_dataset.generator.maker import make, produce
-from gcd_dataset.generator.pipeline import DressedDesign, prepare
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import Augmented, FakeGarments, FreshGarments, GarmentDataset, GeneratedGarments, PickCaption
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import ShardWriter, encode_sample
+from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.layout import recipe_hash
 from tests.loaders.test_shards import assert_all_same, same
+from tests.shards.folders import write_samples
 
 COUNT = 3
 
@@ -36,10 +36,7 @@ def items() -> list[Any]:
 
 def test_items_equal_those_of_a_shard(items: list[dict[str, Any]], tmp_path: Path) -> None:
     config = garments().config
-    with ShardWriter(tmp_path, seed=5, recipe=recipe_of(config)) as writer:
-        for sample in produce(5, range(COUNT), config):
-            writer.write(sample)
-    stored = GarmentDataset(tmp_path)
+    stored = GarmentDataset(write_samples(tmp_path, produce(5, range(COUNT), config), seed=5, recipe=recipe_of(config)))
     assert_all_same(items, [stored[i] for i in range(COUNT)])
     assert garments().recipe(1) == stored.recipe(1)
 
@@ -133,19 +130,6 @@ def test_verify_finds_a_garment_that_is_not_reproducible(monkeypatch: pytest.Mon
         ds.verify(1)
 
 
-@pytest.fixture
-def designed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Records the numbers of the designs made in this process."""
-    numbers = []
-
-    def recorded(seed: int, number: int, *options: Any) -> DressedDesign:
-        numbers.append(number)
-        return prepare(seed, number, *options)
-
-    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", recorded)
-    return numbers
-
-
 @pytest.mark.parametrize("bodies", [{"bodies": "both"}, {"bodies_each": 2}])
 def test_consecutive_bodies_of_a_design_share_its_making(bodies: dict[str, Any], designed: list[int]) -> None:
     together = garments(**bodies).__getitems__([0, 1, 2])
@@ -161,13 +145,6 @@ def test_consecutive_bodies_of_a_design_share_its_making(bodies: dict[str, Any],
     assert designed[5:] == [0, 0]
 
 
-def test_options_that_do_not_exist_are_refused() -> None:
-    with pytest.raises(ConfigError, match="drape='newton'"):
-        GeneratedGarments(1, drape="newton")  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="bodies"):
-        GeneratedGarments(1, bodies="dolls")  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -178,6 +155,9 @@ def test_options_that_do_not_exist_are_refused() -> None:
         ({"device": "nope"}, "device='nope'"),
         ({"device": "nope", "drape": None}, "device='nope'"),
         ({"device": 0}, "device"),
+        ({"drape": "newton"}, "drape='newton'"),
+        ({"bodies": "dolls"}, "bodies"),
+        ({"stage": "pattern", "drape": None, "fields": ["caption"]}, "no field caption"),
     ],
 )
 def test_arguments_are_checked_at_once(options: dict[str, Any], message: str) -> None:
@@ -221,35 +201,24 @@ def test_stored_captions_equal_those_made_on_demand(caption_folder: Path, tmp_pa
 
 
 def test_a_level_may_be_drawn_at_each_use(caption_folder: Path) -> None:
-    ds = Augmented(GarmentDataset(caption_folder, fields=["caption"]), PickCaption(), seed=3)
-    drawn = set()
+    captions = GarmentDataset(caption_folder, fields=["caption"])
+    ds, drawn = Augmented(captions, PickCaption(), seed=3), set()
     for epoch in range(12):
         ds.set_epoch(epoch)
         drawn.add(ds[0]["caption"])
-    assert drawn == set(read_captions(texts(caption_folder)[0]).values())
+    assert drawn == set(read_captions(captions[0]["caption"]).values())
 
 
-def test_unusable_levels_are_refused(caption_folder: Path) -> None:
+def test_unusable_levels_are_refused() -> None:
     with pytest.raises(ConfigError, match="there are short, medium, full"):
         PickCaption("long")
     with pytest.raises(ConfigError, match="give it as augment="):
         PickCaption("short", "full")({"caption": "a\nb\nc"})
     assert PickCaption("short")({"points": np.zeros(3)}).keys() == {"points"}
-    with pytest.raises(ConfigError, match="no field caption"):
-        GeneratedGarments(1, stage="pattern", drape=None, fields=["caption"])
 
 
-def texts(caption_folder: Path) -> list[str]:
-    return [item["caption"] for item in GarmentDataset(caption_folder, fields=["caption"])]
-
-
-def test_the_pattern_can_be_sewn() -> None:
-    for index in range(5):
-        assert check_pattern(fake_sample(0, index).pattern) == ()
-
-
-def test_garments_differ_and_are_reproducible() -> None:
+def test_fake_garments_can_be_sewn_differ_and_are_reproducible() -> None:
+    assert not any(check_pattern(fake_sample(0, index).pattern) for index in range(5))
     ds = FakeGarments(4, seed=1)
     assert len({ds[i]["measures"]["waist"] for i in range(4)}) == 4
-    assert encode_sample(fake_sample(1, 2)) == encode_sample(fake_sample(1, 2))
     ds.verify(2)

@@ -35,12 +35,11 @@ from gcd_dataset.loaders import (
     collate_padded,
 )
 from gcd_dataset.loaders.base import tensor_of
-from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
+from gcd_dataset.shards import FIELDS, ShardReader
 from gcd_dataset.shards.hdf5 import write_hdf5
 from tests.loaders.test_shards import assert_all_same, same
 from tests.release.published import publish as published
-from tests.release.published import publish_people
-from tests.shards.people import MESH, fake_person
+from tests.shards.folders import fill, write_samples
 from tests.shards.people import fill as people_in_shards
 
 COUNT = 4
@@ -56,17 +55,10 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for stage in ("pattern", "mesh"):
         folders[stage] = tmp_path_factory.mktemp(stage)
         config = MakeConfig(stage=stage, resolution=6.0, points=512)
-        with ShardWriter(folders[stage], seed=2, recipe=recipe_of(config), shard_size=2) as writer:
-            for sample in produce(2, range(FIRST, FIRST + COUNT), config):
-                writer.write(sample)
+        samples = produce(2, range(FIRST, FIRST + COUNT), config)
+        write_samples(folders[stage], samples, seed=2, recipe=recipe_of(config), shard_size=2)
         list(write_hdf5(ShardReader(folders[stage]), folders[stage] / "train.h5"))
     return folders
-
-
-@pytest.fixture
-def few(tmp_path: Path) -> Path:
-    """Two people in the published layout."""
-    return publish_people(tmp_path / "few", [fake_person(0), fake_person(1)], MESH)
 
 
 def opened(sets: dict[str, Path], stage: Any) -> dict[str, Callable[..., Any]]:
@@ -120,17 +112,6 @@ def test_published_garments_have_no_body_field(examples: Path) -> None:
     assert same(ds[ds[1]["meta"]["key"]], ds[1])
 
 
-def test_parts_of_a_mix_need_equal_fields(sets: dict[str, Path]) -> None:
-    pattern, mesh = (GarmentDataset(sets[stage]) for stage in ("pattern", "mesh"))
-    with pytest.raises(ConfigError, match=r"only one of data sets 0 and 1 has box, .*: give both the same fields"):
-        MixedDataset([pattern, mesh], [1, 1])
-    exact = GarmentDataset(sets["mesh"], fields=PATTERN, dtype=None)
-    with pytest.raises(ConfigError, match=r"floats as torch\.float32 and None: give both the same dtype"):
-        MixedDataset([pattern, exact], [1, 1])
-    with pytest.raises(ConfigError, match="data set 1 is a list"):
-        MixedDataset([pattern, [1]], [1, 1])  # type: ignore[list-item]
-
-
 @pytest.mark.parametrize("way", WAYS)
 def test_floating_fields_are_float32_by_default(sets: dict[str, Path], way: str) -> None:
     fields = ("panels", "edges", "points", "box", "uv", "body")
@@ -147,13 +128,10 @@ def test_floating_fields_are_float32_by_default(sets: dict[str, Path], way: str)
         assert torch.equal(half[field], stored[field].to(torch.bfloat16))
 
 
-def test_types_that_are_not_floating_are_refused(sets: dict[str, Path]) -> None:
+def test_types_that_are_not_floating_and_batches_of_several_types_are_refused(sets: dict[str, Path]) -> None:
     for dtype in (torch.int64, "float32", np.float32):
         with pytest.raises(ConfigError, match=r"dtype=.*: give a floating type, such as torch\.float32"):
             GarmentDataset(sets["mesh"], dtype=dtype)  # type: ignore[arg-type]
-
-
-def test_a_batch_of_mixed_types_is_refused(sets: dict[str, Path]) -> None:
     items = [GarmentDataset(sets["mesh"], fields=["panels", "body"], dtype=dtype)[0] for dtype in (torch.float32, None)]
     for collate in (collate_packed, collate_padded):
         with pytest.raises(ConfigError, match=r"panels has types torch\.float32, torch\.float64 in one batch"):
@@ -252,9 +230,7 @@ def test_generated_garments_are_found_by_key() -> None:
 
 def test_a_key_in_two_splits_is_refused(tmp_path: Path) -> None:
     for split in ("train", "test"):
-        with ShardWriter(tmp_path, split=split, seed=0, recipe={}) as writer:
-            for sample in produce(0, range(2), MakeConfig(stage="pattern")):
-                writer.write(sample)
+        fill(tmp_path, range(2), split=split)
     both = GarmentDataset(tmp_path, "train+test", fields=["meta"])
     with pytest.raises(KeyError, match="gcd_000000001 is in train and in test: open one split"):
         both["gcd_000000001"]
@@ -308,16 +284,15 @@ def test_a_transform_that_needs_a_random_stream_is_refused_at_once(few: Path, tr
             make(1, transform=transform)
 
 
-@pytest.mark.parametrize("indices", [lambda item: True, "gcd_000000003", 1, 1.5, None, slice(2), torch.tensor(1), {}])
-def test_select_takes_several_indices(indices: Any) -> None:
-    with pytest.raises(ConfigError, match=r"select\(.*give indices or keys in a list, .* select by a condition with"):
-        FakeGarments(4).select(indices)
-
-
 def test_select_takes_any_iterable_of_indices_and_refuses_others_in_one_sentence() -> None:
     ds: Any = FakeGarments(4, fields=["meta"])
     for indices in ([1, 3], (1, 3), np.array([1, 3]), torch.tensor([1, -1]), iter([1, 3]), range(1, 4, 2)):
         assert [item["meta"]["index"] for item in ds.select(indices)] == [1, 3]
+    several = r"select\(.*give indices or keys in a list, .* select by a condition with"
+    none: list[Any] = [lambda item: True, "gcd_000000003", 1, 1.5, None, slice(2), torch.tensor(1), {}]
+    for one in none:
+        with pytest.raises(ConfigError, match=several):
+            ds.select(one)
     for wrong in ([True] * 4, np.ones(3, bool), torch.ones(4, dtype=torch.bool), [4], [-5], [0.5], ["gcd_000000009"]):
         with pytest.raises(ConfigError, match=r"^[^\n]+: [^\n]+$"):
             ds.select(wrong)
@@ -357,28 +332,16 @@ def test_a_number_beyond_float32_is_refused() -> None:
     assert tensor_of(large, None).tolist() == [1.0, 1e300]
 
 
-OPENED: dict[str, Callable[[], Any]] = {
-    "a folder": lambda: GarmentDataset("~/data"),
-    "a path": lambda: GarmentDataset(Path("~/data")),
-    "HDF5": lambda: Hdf5Garments("~/data/train.h5"),
-    "people": lambda: BodyDataset("~/people"),
-    "published people": lambda: PublishedBodies("~/few"),
-    "published garments": lambda: PublishedGarmentCodeData("~/release", cache_dir="~/kept"),
-}
-
-
-@pytest.mark.parametrize("opener", OPENED)
 def test_a_tilde_is_the_home_folder(
-    opener: str, sets: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sets: dict[str, Path], few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "data").symlink_to(sets["pattern"])
-    if opener == "people":
-        people_in_shards(tmp_path / "people", range(2))
-    if opener == "published people":
-        publish_people(tmp_path / "few", [fake_person(0), fake_person(1)], MESH)
-    if opener == "published garments":
-        published(tmp_path / "release")
-    assert len(OPENED[opener]())
+    people_in_shards(tmp_path / "people", range(2))
+    published(tmp_path / "release")
+    assert len(GarmentDataset("~/data")) == len(GarmentDataset(Path("~/data"))) == COUNT
+    assert len(Hdf5Garments("~/data/train.h5")) == COUNT
+    assert len(BodyDataset("~/people")) == len(PublishedBodies(f"~/{few.name}")) == 2
+    assert len(PublishedGarmentCodeData("~/release", cache_dir="~/kept")) == 4
     assert not Path("~").exists()

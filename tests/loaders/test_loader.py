@@ -24,7 +24,6 @@ from gcd_dataset.loaders import (
     collate_packed,
 )
 from gcd_dataset.workers import prefetch
-from tests.shards.folders import fill
 
 N = 50
 
@@ -57,12 +56,6 @@ def merged(ranks: list[GarmentLoader], steps: int | None = None) -> list[int]:
 
 
 ORDER = merged(loaders(1))
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three shards of 4, 4 and 2 garments."""
-    return fill(tmp_path_factory.mktemp("data"), range(10))
 
 
 @pytest.mark.parametrize(
@@ -314,17 +307,6 @@ def test_the_thread_makes_no_more_items_than_the_queue_holds() -> None:
     assert max(ahead) <= 3 + 1  # taking an item has freed a slot
 
 
-def test_an_error_comes_after_the_items_before_it() -> None:
-    def items() -> Iterator[int]:
-        yield from (0, 1)
-        raise ValueError("the third")
-
-    ahead = prefetch(items(), 8)
-    assert [next(ahead), next(ahead)] == [0, 1]
-    with pytest.raises(ValueError, match="the third"):
-        next(ahead)
-
-
 @pytest.mark.parametrize("wait", [False, True])
 def test_closing_the_iterator_ends_the_thread(wait: bool) -> None:
     threads: list[threading.Thread] = []
@@ -342,22 +324,23 @@ def test_closing_the_iterator_ends_the_thread(wait: bool) -> None:
     assert not threads[0].is_alive()
 
 
-def test_an_exit_in_the_thread_reaches_the_caller() -> None:
-    """``KeyboardInterrupt`` and the like are no ``Exception``."""
+@pytest.mark.parametrize("error", [ValueError, SystemExit])
+def test_an_error_or_an_exit_comes_after_the_items_before_it(error: type[BaseException]) -> None:
+    """``SystemExit``, ``KeyboardInterrupt`` and the like are no ``Exception``."""
 
     def items() -> Iterator[int]:
-        yield 0
-        raise SystemExit("the second")
+        yield from (0, 1)
+        raise error("the third")
 
-    ended: list[BaseException] = []
+    taken: list[Any] = []
 
     def take() -> None:
         try:
-            list(prefetch(items(), 2))
-        except SystemExit as end:
-            ended.append(end)
+            taken.extend(prefetch(items(), 8))
+        except error as raised:
+            taken.append(str(raised))
 
     thread = threading.Thread(target=take, daemon=True)
     thread.start()
     thread.join(60)
-    assert [str(end) for end in ended] == ["the second"]
+    assert taken == [0, 1, "the third"]

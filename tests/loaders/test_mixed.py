@@ -16,8 +16,8 @@ from gcd_dataset.loaders import FakeGarments, GarmentDataset, GarmentLoader, Gar
 from tests.shards.folders import fill
 
 
-def fake(n: int, seed: int = 0) -> FakeGarments:
-    return FakeGarments(n, seed, fields=["meta"])
+def fake(n: int, seed: int = 0, **options: Any) -> FakeGarments:
+    return FakeGarments(n, seed, fields=["meta"], **options)
 
 
 def mixed(weights: list[float], lengths: list[int], seed: int = 0) -> MixedDataset:
@@ -150,13 +150,16 @@ def test_generated_and_stored_garments_mix(tmp_path: Path) -> None:
 
 
 def test_data_sets_that_do_not_fit_together_are_refused() -> None:
-    for datasets, weights, message in (
+    cases: list[tuple[list[Any], list[float], str]] = [
         ([fake(2)], [1, 1], "1 data sets and 2 weights"),
         ([], [], r"weights=\[\]"),
         ([fake(2)], [0], r"weights=\[0\]: give a positive number"),
         ([fake(2)], [float("nan")], "give a positive number"),
         ([fake(2), fake(0)], [1, 1], "data set 1 has no garments"),
-        ([fake(2), FakeGarments(2, fields=["meta", "verts"])], [1, 1], "0 and 1 has verts: give both the same fields"),
-    ):
+        ([fake(2), FakeGarments(2)], [1, 1], "only one of data sets 0 and 1 has .*verts.*: give both the same fields"),
+        ([fake(2), fake(2, dtype=None)], [1, 1], r"floats as torch\.float32 and None: give both the same dtype"),
+        ([fake(2), [1]], [1, 1], "data set 1 is a list"),
+    ]
+    for datasets, weights, message in cases:
         with pytest.raises(ConfigError, match=message):
             MixedDataset(datasets, weights)

@@ -16,21 +16,16 @@ from hypothesis import strategies as st
 from torch.utils.data import DataLoader, IterableDataset
 
 from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.loaders.shards import SplitPart, parse_splits
 from gcd_dataset.records import Grade, Outcome, Sample, StoredView
-from gcd_dataset.shards import FIELDS, ShardWriter
-from gcd_dataset.shards.reader import Quality
+from gcd_dataset.shards import FIELDS
 from gcd_dataset.shards.tar import BLOCK
-from tests.shards.folders import RECIPE, fill, open_writer
+from tests.shards.folders import fill, write_samples
 
 COUNT = 10
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return fill(tmp_path_factory.mktemp("data"), range(COUNT))
 
 
 def same(a: Any, b: Any) -> bool:
@@ -59,40 +54,29 @@ def test_a_shard_returns_the_written_samples(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("indexed", [True, False])
-def test_settled_only_leaves_out_the_others(tmp_path: Path, indexed: bool) -> None:
+def test_settled_only_and_quality_leave_out_the_others(tmp_path: Path, indexed: bool) -> None:
+    """``paper`` includes ``clean``; a garment without a grade has neither."""
     outcomes = [Outcome.NOT_SETTLED, Outcome.SETTLED, None, Outcome.DIVERGED, Outcome.SETTLED, Outcome.SLID_OFF]
-    with open_writer(tmp_path) as writer:
-        for index, outcome in enumerate(outcomes):
-            writer.write(ended(fake_sample(0, index), outcome))
+    grades = [Grade.PAPER, Grade.CLEAN, None, Grade.FAILED, None, Grade.CLEAN]
+    samples = (ended(fake_sample(0, index), outcome) for index, outcome in enumerate(outcomes))
+    write_samples(tmp_path, (replace(one, grade=grade) for one, grade in zip(samples, grades, strict=True)))
     if not indexed:
         (tmp_path / "train.index").unlink()
-    ds = GarmentDataset(tmp_path, settled_only=True)
-    assert (len(ds), ds.recipe(1)["index"]) == (2, 4)
-    assert_all_same([ds[0], ds[-1]], [GarmentDataset(tmp_path)[i] for i in (1, 4)])
-    for verify in ("lazy", "off"):
-        assert_all_same(GarmentDataset(tmp_path, settled_only=True, streaming=True, verify=verify), [ds[0], ds[1]])
+    cases: list[tuple[dict[str, Any], list[int]]] = [
+        ({"settled_only": True}, [1, 4]), ({"quality": "clean"}, [1, 5]), ({"quality": "paper"}, [0, 1, 5]),
+        ({"settled_only": True, "quality": "paper"}, [1]), ({}, [0, 1, 2, 3, 4, 5]),
+    ]  # fmt: skip
+    for options, numbers in cases:
+        ds, expected = GarmentDataset(tmp_path, **options), [GarmentDataset(tmp_path)[k] for k in numbers]
+        assert [ds.recipe(position)["index"] for position in range(len(ds))] == numbers
+        assert_all_same([ds[position] for position in range(len(ds))], expected)
+        for verify in ("lazy", "off"):
+            assert_all_same(GarmentDataset(tmp_path, streaming=True, verify=verify, **options), expected)
 
 
 def ended(sample: Sample, outcome: Outcome | None) -> Sample:
     assert sample.drape is not None
     return replace(sample, drape=None if outcome is None else replace(sample.drape, outcome=outcome))
-
-
-@pytest.mark.parametrize("indexed", [True, False])
-def test_quality_leaves_out_lower_grades(tmp_path: Path, indexed: bool) -> None:
-    """``paper`` includes ``clean``; a garment without a grade has neither."""
-    grades = [Grade.PAPER, Grade.CLEAN, None, Grade.FAILED, Grade.CLEAN]
-    with open_writer(tmp_path) as writer:
-        for index, grade in enumerate(grades):
-            writer.write(replace(fake_sample(0, index), grade=grade))
-    if not indexed:
-        (tmp_path / "train.index").unlink()
-    cases: list[tuple[Quality | None, list[int]]] = [("clean", [1, 4]), ("paper", [0, 1, 4]), (None, [0, 1, 2, 3, 4])]
-    for quality, expected in cases:
-        ds = GarmentDataset(tmp_path, quality=quality)
-        assert [meta["index"] for meta in (ds[i]["meta"] for i in range(len(ds)))] == expected
-        streamed = GarmentDataset(tmp_path, quality=quality, streaming=True)
-        assert [item["meta"]["index"] for item in streamed] == expected
 
 
 def test_a_quality_that_no_garment_has_is_refused(tmp_path: Path) -> None:
@@ -108,13 +92,12 @@ def test_an_unfinished_run_is_warned_of_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str], streaming: bool
 ) -> None:
     options: dict[str, Any] = {"streaming": streaming, "fields": ["meta"]}
-    with ShardWriter(tmp_path, seed=0, recipe=RECIPE, count=400) as writer:
-        for index in range(3):
-            writer.write(fake_sample(0, index))
+    fill(tmp_path, range(3), count=400, recipe=recipe_of(MakeConfig(stage="pattern")))
     ds = GarmentDataset(tmp_path, "train[:1]+train[1:]", **options)
     assert len(list(DataLoader(ds, 2, num_workers=2, collate_fn=collate_list))) == 2
     (message,) = caplog.messages
-    assert message.startswith(f"{tmp_path}: the data set is unfinished: 3 of 400 samples are made: ")
+    command = f"gcd generate {tmp_path} --count 400 --seed 0 --"
+    assert message.startswith(f"{tmp_path}: the data set is unfinished: 3 of 400 samples are made: {command}")
     assert "400 samples" not in "".join(capfd.readouterr())  # nor printed by a worker
     GarmentDataset(tmp_path, partial=True, **options)
     assert caplog.messages == [message]
@@ -122,8 +105,7 @@ def test_an_unfinished_run_is_warned_of_once(
 
 @pytest.mark.parametrize("recipe", [{"fake": True}, {"stage": "mesh"}])
 def test_garments_without_a_drape_neither_settle_nor_have_a_grade(tmp_path: Path, recipe: dict[str, Any]) -> None:
-    with ShardWriter(tmp_path, seed=0, recipe=recipe) as writer:
-        writer.write(ended(fake_sample(0, 0), None))
+    write_samples(tmp_path, [ended(fake_sample(0, 0), None)], recipe=recipe)
     assert len(GarmentDataset(tmp_path)) == 1
     reason = f"they {'end with stage mesh' if 'stage' in recipe else 'have no drapes'}, and only drapes settle and have"
     with pytest.raises(ShardError, match=f"none of the 1 samples of split train has settled: {reason} a grade: leave"):
@@ -141,23 +123,13 @@ def test_options_for_servers_are_refused_for_a_folder(folder: Path, tmp_path: Pa
         GarmentDataset(tmp_path / "nowhere")
 
 
-TESTED = 3
-
-
 @pytest.fixture(scope="module")
 def two_splits(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Ten garments in ``train``, three different ones in ``test``."""
     place = tmp_path_factory.mktemp("splits")
-    for split, indices in (("train", range(COUNT)), ("test", range(20, 20 + TESTED))):
-        with open_writer(place, split=split) as writer:
-            for index in indices:
-                writer.write(fake_sample(0, index))
+    for split, indices in (("train", range(COUNT)), ("test", range(20, 23))):
+        fill(place, indices, split=split)
     return place
-
-
-def ids_of(folder: Path, split: str, *, streaming: bool = False) -> list[int]:
-    ds = GarmentDataset(folder, split, fields=["meta"], streaming=streaming)
-    return [item["meta"]["index"] for item in ds]
 
 
 @pytest.mark.parametrize("streaming", [False, True])
@@ -174,7 +146,8 @@ def ids_of(folder: Path, split: str, *, streaming: bool = False) -> list[int]:
     ],
 )
 def test_a_split_may_be_sliced_and_added(two_splits: Path, split: str, expected: list[int], streaming: bool) -> None:
-    assert ids_of(two_splits, split, streaming=streaming) == list(expected)
+    garments = GarmentDataset(two_splits, split, fields=["meta"], streaming=streaming)
+    assert [item["meta"]["index"] for item in garments] == list(expected)
 
 
 @pytest.mark.parametrize(
@@ -227,11 +200,12 @@ def test_a_stream_holds_the_same_garments(folder: Path) -> None:
 
 
 def test_pictures_come_from_their_own_tars(tmp_path: Path) -> None:
-    with open_writer(tmp_path) as writer:
-        for index in range(6):
-            sample = fake_sample(0, index)
-            view = StoredView(sample.back or b"", {"camera": {"k": np.eye(3).tolist(), "rt": np.eye(4)[:3].tolist()}})
-            writer.write(replace(sample, views=(view,), caption=f"skirt {index}"))
+    samples = [fake_sample(0, index) for index in range(6)]
+    facts = {"camera": {"k": np.eye(3).tolist(), "rt": np.eye(4)[:3].tolist()}}
+    views = [StoredView(sample.back or b"", facts) for sample in samples]
+    write_samples(
+        tmp_path, (replace(one, views=(view,), caption=one.key) for one, view in zip(samples, views, strict=True))
+    )
     for fields in (["front"], ["verts", "view_0_json", "caption"], ["view_0"], ["views", "camera_k"], None):
         ds = GarmentDataset(tmp_path, "train[2:]", fields)
         assert_all_same(GarmentDataset(tmp_path, "train[2:]", fields, streaming=True), [ds[i] for i in range(4)])

@@ -1,6 +1,5 @@
 """Views in shards: one field for all of them, sizes, caches, downloads and other readers."""
 
-import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,16 +13,13 @@ from PIL import Image
 from gcd_dataset import generate
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.generator.drawing import sample_sheet
+from gcd_dataset.generator.drawing import jpeg_bytes, sample_sheet
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.generator.views import MISSING_VIEW
 from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Sample, StoredView
-from gcd_dataset.shards import ShardWriter
-from gcd_dataset.shards.layout import garments_layout
-
-RECIPE = {"fake": True}
+from tests.shards.folders import write_samples
 
 
 def facts(number: int) -> dict[str, Any]:
@@ -32,9 +28,7 @@ def facts(number: int) -> dict[str, Any]:
 
 
 def jpeg(shade: int, size: int = 16) -> bytes:
-    file = io.BytesIO()
-    Image.new("RGB", (size, size), (shade, shade, shade)).save(file, "JPEG", quality=95)
-    return file.getvalue()
+    return jpeg_bytes(np.full((size, size, 3), shade, np.uint8))
 
 
 def viewed(index: int, sizes: tuple[int, ...] = (16, 16)) -> Sample:
@@ -42,16 +36,9 @@ def viewed(index: int, sizes: tuple[int, ...] = (16, 16)) -> Sample:
     return replace(fake_sample(0, index), views=tuple(views))
 
 
-def write(folder: Path, samples: list[Sample]) -> Path:
-    with ShardWriter(folder, seed=0, recipe=RECIPE, layout=garments_layout(views=len(samples[0].views))) as writer:
-        for sample in samples:
-            writer.write(sample)
-    return folder
-
-
 @pytest.mark.parametrize("streaming", [False, True])
 def test_all_views_are_one_field(tmp_path: Path, streaming: bool) -> None:
-    folder = write(tmp_path, [viewed(index) for index in range(3)])
+    folder = write_samples(tmp_path, [viewed(index) for index in range(3)])
     ds = GarmentDataset(folder, fields=["camera_rt", "views", "camera_k"], streaming=streaming)
     assert ds.fields == ("views", "camera_k", "camera_rt")
     for index, item in enumerate(ds):
@@ -67,16 +54,16 @@ def test_all_views_are_one_field(tmp_path: Path, streaming: bool) -> None:
 
 
 def test_views_that_are_no_array_are_reported(tmp_path: Path) -> None:
-    folder = write(tmp_path / "sizes", [viewed(0, (16, 24))])
+    folder = write_samples(tmp_path / "sizes", [viewed(0, (16, 24))])
     with pytest.raises(ShardError, match="views have the sizes 16 x 16, 24 x 24, and one array needs equal sizes"):
         GarmentDataset(folder, fields=["views"])[0]
     item: Any = GarmentDataset(folder, fields=["view_1"])[0]
     assert item["view_1"].shape == (3, 24, 24)
     sample = replace(fake_sample(0, 0), views=(StoredView(jpeg(1), {"fov": 40.0}),))
     with pytest.raises(ShardError, match=r"sample gcd_000000000.*view_0\.json: no camera matrix k"):
-        GarmentDataset(write(tmp_path / "camera", [sample]), fields=["camera_k"])[0]
+        GarmentDataset(write_samples(tmp_path / "camera", [sample]), fields=["camera_k"])[0]
     with pytest.raises(ConfigError, match="no field views"):
-        GarmentDataset(write(tmp_path / "none", [fake_sample(0, 0)]), fields=["views"])
+        GarmentDataset(write_samples(tmp_path / "none", [fake_sample(0, 0)]), fields=["views"])
 
 
 def test_options_of_views_leave_other_recipes_alone() -> None:
@@ -91,7 +78,7 @@ def test_options_of_views_leave_other_recipes_alone() -> None:
 def test_datasets_reads_views_behind_diverged_drapes(tmp_path: Path) -> None:
     """It infers types from the first five samples."""
     lost = [replace(fake_sample(0, index), views=(MISSING_VIEW,)) for index in range(5)]
-    folder = write(tmp_path / "data", [*lost, viewed(5, (16,))])
+    folder = write_samples(tmp_path / "data", [*lost, viewed(5, (16,))], shard_size=6)
     options = {"data_files": {"train": str(folder / "views" / "train-00000.tar")}, "split": "train"}
     rows = list(datasets.load_dataset("webdataset", cache_dir=str(tmp_path / "cache"), **options))
     assert rows[5]["view_0.json"]["camera"]["k"] == np.eye(3).tolist()

@@ -36,7 +36,7 @@ def ball(radius: float = 40.0) -> Item:
     return {"points": torch.from_numpy(points.astype(np.float16))}
 
 
-def test_yaw_keeps_heights_and_distances() -> None:
+def test_yaw_keeps_heights_and_distances_and_rotates_normals_with_the_surface() -> None:
     item = FakeGarments(1)[0]
     turned = Yaw()(item, rng())
     for field in ("verts", "box", "points"):
@@ -47,6 +47,8 @@ def test_yaw_keeps_heights_and_distances() -> None:
         assert torch.allclose(*radius, atol=0.03)
         assert turned[field].dtype == item[field].dtype
     assert same(item, FakeGarments(1)[0])
+    points = Yaw()(ball(), rng())["points"].float()
+    assert torch.allclose((points[:, :3] - torch.tensor([0.0, 100.0, 0.0])) / 40, points[:, 3:], atol=2e-3)
 
 
 def test_yaw_turns_scans_and_cameras_with_the_figure() -> None:
@@ -77,11 +79,6 @@ def test_yaw_turns_scans_and_cameras_with_the_figure() -> None:
     assert stored["light"]["key_direction"] == pytest.approx(turned["camera_rt"][0, 2, :3].tolist(), abs=1e-6)
     assert (stored["light"]["sky"], stored["camera"]["size"]) == (1.0, 9)
     assert facts["camera"]["rt"] == rt[0].tolist()
-
-
-def test_yaw_rotates_normals_with_the_surface() -> None:
-    points = Yaw()(ball(), rng())["points"].float()
-    assert torch.allclose((points[:, :3] - torch.tensor([0.0, 100.0, 0.0])) / 40, points[:, 3:], atol=2e-3)
 
 
 def test_yaw_stays_within_its_limit() -> None:

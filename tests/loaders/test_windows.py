@@ -10,7 +10,7 @@ import torch
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.body import walk
-from gcd_dataset.generator.recipe import layout_of_samples, recipe_of
+from gcd_dataset.generator.recipe import recipe_of
 from gcd_dataset.loaders import (
     GarmentDataset,
     GarmentLoader,
@@ -20,11 +20,12 @@ from gcd_dataset.loaders import (
     collate_padded,
 )
 from gcd_dataset.records import FPS, MOTION_STEP, GarmentMotion, Outcome, Sample
-from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.motion import NO_FRAMES, motion_as_stored
 from tests.generator.drape.garments import still
 from tests.loaders.rendered import CONFIG
+from tests.shards.folders import write_samples
 
 WALK = replace(CONFIG, views=0, poses="walk")
 FRAMES = (6, 0, 4)
@@ -46,21 +47,12 @@ def risen(sample: Sample, frames: int) -> Sample:
 
 @pytest.fixture(scope="module")
 def moving(worn: list[Sample]) -> list[Sample]:
-    samples = [worn[k % len(worn)] for k in range(3)]
-    samples = [
-        replace(one, key=f"gcd_{k:09d}", provenance=replace(one.provenance, index=k)) for k, one in enumerate(samples)
-    ]
-    return [risen(sample, frames) for sample, frames in zip(samples, FRAMES, strict=True)]
+    return [risen(sample, frames) for sample, frames in zip(worn, FRAMES, strict=True)]
 
 
 @pytest.fixture(scope="module")
 def folder(moving: list[Sample], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("moving")
-    layout = layout_of_samples(WALK)
-    with ShardWriter(path, seed=4, recipe=recipe_of(WALK), layout=layout, shard_size=2) as writer:
-        for sample in moving:
-            writer.write(sample)
-    return path
+    return write_samples(tmp_path_factory.mktemp("moving"), moving, seed=4, recipe=recipe_of(WALK), shard_size=2)
 
 
 def test_items_are_windows_of_consecutive_frames(folder: Path, moving: list[Sample]) -> None:

@@ -1,9 +1,11 @@
 """Small data sets of generated garments, made in seconds, and one of a small published recipe."""
 
+import itertools
+import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -47,23 +49,25 @@ def made_once(
         yield finished(_samples(seed, config, COUNT)[index])
 
 
+def exit_codes(*works: Callable[[], Any]) -> list[int | None]:
+    """Exit codes of forked processes that do the works at the same time."""
+    children = [multiprocessing.get_context("fork").Process(target=work) for work in works]
+    for child in children:
+        child.start()
+    for child in children:
+        child.join()
+    return [child.exitcode for child in children]
+
+
 def killed(work: Callable[..., Any], *, after: int) -> None:
     """Run ``work(on_progress=…)`` in a forked process that kills itself after ``after`` progress reports."""
-    child = os.fork()
-    if child == 0:
-        steps = 0
+    steps = itertools.count()
 
-        def report(progress: Progress) -> None:
-            nonlocal steps
-            if steps == after:
-                os.kill(os.getpid(), signal.SIGKILL)
-            steps += 1
+    def report(progress: Progress) -> None:
+        if next(steps) == after:
+            os.kill(os.getpid(), signal.SIGKILL)
 
-        try:
-            work(on_progress=report)
-        finally:
-            os._exit(1)
-    assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
+    assert exit_codes(partial(work, on_progress=report)) == [-signal.SIGKILL]
 
 
 def stopped(work: Callable[..., Any], *, after: int) -> None:

@@ -15,18 +15,12 @@ from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.hub.partition import leaks
 from gcd_dataset.hub.publish import stage
 from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
-from gcd_dataset.making.recipes import ensure_recipe
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards import ShardReader, read_manifest
 from gcd_dataset.shards.reader import stored_patterns
 from tests.generator.test_recipes import TINY, written
 from tests.making.conftest import stopped
 from tests.shards.folders import contents
-
-
-@pytest.fixture
-def copy(made: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(made, tmp_path / "copy"))
 
 
 def test_a_sample_is_the_same_with_and_without_splits(made: Path, recipe: Recipe) -> None:
@@ -69,7 +63,8 @@ def test_a_stopped_run_and_jobs_make_the_same_bytes(made: Path, recipe: Recipe, 
     assert contents(tmp_path) == contents(made)
 
 
-def test_a_folder_of_one_recipe_takes_no_other_and_none(copy: Path, recipe: Recipe, tmp_path: Path) -> None:
+def test_a_folder_of_one_recipe_takes_no_other_and_none(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+    copy = shutil.copytree(made, tmp_path / "copy")
     other = find_recipe(written(tmp_path, TINY.replace("designs = 10", "designs = 12")))
     with pytest.raises(ConfigError, match=r"made with recipe='tiny \(\w{12}\)', asked for recipe='tiny \(\w{12}\)'"):
         generate_recipe(copy, other)
@@ -91,12 +86,16 @@ def test_a_recipe_is_published_with_its_splits_and_its_name(made: Path, recipe: 
     assert f"- recipe `tiny` of sha256 `{recipe.sha256}`" in card
 
 
-def test_a_missing_data_set_is_made_on_demand(
-    toml: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+def test_a_missing_data_set_is_made_on_demand_and_an_interrupted_making_goes_on(
+    toml: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    ds = GarmentDataset(f"recipe:{toml}", "test", cache_dir=tmp_path, fields=["panels"])
-    assert len(ds) == 6
+    opened = partial(GarmentDataset, f"recipe:{toml}", "test", cache_dir=tmp_path, fields=["panels"])
+    with pytest.MonkeyPatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr("gcd_dataset.making.run.gather", Mock(side_effect=KeyboardInterrupt))
+        opened()
     folder = tmp_path / "recipes" / "tiny"
+    assert len(opened()) == 6
+    assert contents(folder) == contents(made)
     assert f"tiny: making 20 garments in {folder}; the next call resumes" in caplog.text
     assert "20/20" in capsys.readouterr().err
     caplog.clear()
@@ -123,12 +122,3 @@ def test_the_data_set_of_another_version_is_not_taken_for_it(made: Path, tmp_pat
     newer = written(tmp_path, TINY.replace("seed = 3", f'seed = 3\npatterns = "{"ab" * 32}"'))
     with pytest.raises(ConfigError, match="patterns drawn by another version of the package: delete the folder"):
         GarmentDataset(f"recipe:{newer}", "test", root=tmp_path)
-
-
-def test_an_interrupted_making_goes_on(recipe: Recipe, made: Path, tmp_path: Path) -> None:
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("gcd_dataset.making.run.gather", Mock(side_effect=KeyboardInterrupt))
-        with pytest.raises(KeyboardInterrupt):
-            ensure_recipe(recipe, tmp_path)
-    ensure_recipe(recipe, tmp_path)
-    assert contents(tmp_path) == contents(made)

@@ -1,13 +1,13 @@
 """Equal plans give equal bytes: by one run, several jobs, racing or killed runs, on a full disk, in a store."""
 
 import hashlib
+import itertools
 import json
 import os
 import resource
 import shutil
 import signal
 import time
-import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import cache, partial
@@ -22,7 +22,6 @@ from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making import garments, run, store
 from gcd_dataset.making.tasks import Work
@@ -31,7 +30,7 @@ from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.manifest import Plan
 from gcd_dataset.shards.notes import StoredSample, stored_samples
 from gcd_dataset.shards.writer import draft_name
-from tests.making.conftest import COUNT, CUFFED, killed, made_once, stopped
+from tests.making.conftest import COUNT, CUFFED, exit_codes, killed, made_once, stopped
 from tests.shards.folders import contents, forbidden, public_folder
 
 make = partial(generate, config=CUFFED, workers=0)
@@ -62,21 +61,6 @@ def copy(first: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(first, tmp_path / "copy"))
 
 
-def forked(work: Callable[[], Any]) -> int:
-    """Start ``work`` in a process that exits with 0 if it succeeds; its number."""
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            work()
-            code = 0
-        except BaseException:  # noqa: BLE001 - the child ends here
-            traceback.print_exc()
-        finally:
-            os._exit(code)
-    return child
-
-
 def test_the_files_of_a_data_set(first: Path, whole: dict[str, bytes]) -> None:
     """Twelve shards of a design each, on two bodies: 23 // 20 samples, rounded up to whole designs."""
     names = {f"train-{number:05d}.{ending}" for number in range(12) for ending in ("tar", "json")}
@@ -101,8 +85,7 @@ def test_workers_change_no_byte(tmp_path: Path, whole: dict[str, bytes], monkeyp
 
 
 def test_racing_runs_write_one_data_set(tmp_path: Path, whole: dict[str, bytes]) -> None:
-    children = [forked(lambda: make(tmp_path, COUNT)) for _ in range(3)]
-    assert [os.waitpid(child, 0)[1] for child in children] == [0, 0, 0]
+    assert exit_codes(*3 * [partial(make, tmp_path, COUNT)]) == [0, 0, 0]
     assert contents(tmp_path) == whole
 
 
@@ -140,7 +123,7 @@ def test_a_full_disk_and_a_read_only_folder_are_reported(tmp_path: Path, whole: 
         with pytest.raises(OutputError, match=r"\.train-000\d\d-of-\d+\.draft: cannot .*samples in it are kept"):
             make(tmp_path, COUNT)
 
-    assert os.waitpid(forked(limited), 0)[1] == 0
+    assert exit_codes(limited) == [0]
     make(tmp_path, COUNT)
     assert contents(tmp_path) == whole
     with public_folder() as parent:
@@ -247,6 +230,10 @@ def test_a_store_that_does_not_answer_is_reported(
 def test_another_data_set_is_refused(options: dict[str, Any], message: str, copy: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=message):
         make(copy, COUNT, **options)
+    for path in copy.glob("*.json"):  # without its notes, the samples tell
+        path.unlink()
+    with pytest.raises(ConfigError, match=message):
+        make(copy, COUNT, **options)
     stopped(partial(make, tmp_path / "draft", COUNT), after=1)  # no shard is finished: its sample tells
     with pytest.raises(ConfigError, match=message):
         make(tmp_path / "draft", COUNT, **options)
@@ -280,18 +267,6 @@ def test_jobs_and_urls_that_are_none_are_refused(tmp_path: Path, capsys: pytest.
             make(out, COUNT)
 
 
-def test_an_unfinished_set_is_read_and_says_how_to_go_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    out = tmp_path / "set"
-    generate(out, 9, config=MakeConfig(stage="pattern"), job=Job(0, 3), workers=0)
-    message = f"3 of 9 samples are made: gcd generate {out} --count 9 --seed 0"
-    dataset: Any = GarmentDataset(out, fields=["panels"])
-    assert len(dataset) == 3
-    assert message in caplog.text
-    caplog.clear()
-    GarmentDataset(out, fields=["panels"], partial=True)
-    assert not caplog.text
-
-
 def test_each_rejected_attempt_has_a_line_with_its_figures(whole: dict[str, bytes], first: Path) -> None:
     lines = [json.loads(line) for line in whole["rejects.jsonl"].splitlines()]
     assert len(lines) > 2
@@ -312,7 +287,6 @@ def test_each_rejected_attempt_has_a_line_with_its_figures(whole: dict[str, byte
 
 RENAMES = ("replace", "unlink", "mkdir", "rmdir")
 """The functions of ``os`` between which the files of a data set change."""
-FLAT = MakeConfig(stage="pattern")
 
 
 @cache
@@ -333,25 +307,22 @@ def make_fake(folder: Path, count: int) -> None:
 
 def killed_at(work: Callable[[], Any], number: int) -> bool:
     """Run ``work`` in a forked process that kills itself before its ``number``-th call of ``RENAMES``."""
-    child = os.fork()
-    if child == 0:
-        calls = iter(range(number + 1))
+    calls = itertools.count()
 
-        def counted(function: Callable[..., Any]) -> Callable[..., Any]:
-            def call(*arguments: Any, **options: Any) -> Any:
-                if next(calls, None) == number:
-                    os.kill(os.getpid(), signal.SIGKILL)
-                return function(*arguments, **options)
+    def counted(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            if next(calls) == number:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return function(*arguments, **options)
 
-            return call
+        return call
 
-        try:
-            for name in RENAMES:
-                setattr(os, name, counted(getattr(os, name)))
-            work()
-        finally:
-            os._exit(0)
-    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
+    def patched() -> None:
+        for name in RENAMES:
+            setattr(os, name, counted(getattr(os, name)))
+        work()
+
+    return exit_codes(patched) == [-signal.SIGKILL]
 
 
 @pytest.fixture(scope="module")
@@ -373,13 +344,3 @@ def test_a_run_killed_anywhere_goes_on_to_the_same_bytes(every: int, tmp_path: P
         if not was_killed:
             break
     assert 30 < number < 999
-
-
-def test_another_count_and_lost_notes_are_not_mixed_with_another_data_set(tmp_path: Path) -> None:
-    generate(tmp_path, 3, config=FLAT, workers=0)
-    with pytest.raises(ConfigError, match="a data set of 3 samples, asked for 5"):
-        generate(tmp_path, 5, config=FLAT, workers=0)
-    for path in tmp_path.glob("*.json"):
-        path.unlink()
-    with pytest.raises(ConfigError, match="made with seed=0, asked for seed=1"):
-        generate(tmp_path, 3, seed=1, config=FLAT, workers=0)

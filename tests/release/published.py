@@ -11,15 +11,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import yaml
 
 from gcd_dataset.bodies import POSES, BodyMesh, Person
 from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.exports.published import export_published, exported_splits
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import MEASURES, BodyPart, Measurements, Sample
-from gcd_dataset.release.published_names import ENDINGS, properties_name
-from gcd_dataset.shards import ShardWriter
+from gcd_dataset.release.published_names import ENDINGS
+from tests.shards.folders import write_samples
 
 RELEASE = "GarmentCodeData_v2"
 BODIES = ("default_body", "random_body")
@@ -44,24 +43,16 @@ def garment(name: str, number: int, body: str) -> Sample:
     )
 
 
-def fill(folder: Path) -> Path:
-    """Shards of all designs, on both bodies."""
-    for split, names in DESIGNS.items():
-        with ShardWriter(folder, split=split, seed=7, recipe={"fake": True}) as writer:
-            for number, name in enumerate(names):
-                for body in BODIES:
-                    writer.write(garment(name, number, body))
-    return folder
-
-
 @cache
 def _published() -> TemporaryDirectory:
     """The published folder, written once in each process of the tests."""
     folder = TemporaryDirectory()
     atexit.register(folder.cleanup)
     made = Path(folder.name)
-    for _ in export_published(exported_splits(fill(made / "shards")), made / RELEASE):
-        pass
+    for split, names in DESIGNS.items():
+        samples = (garment(name, number, body) for number, name in enumerate(names) for body in BODIES)
+        write_samples(made / "shards", samples, split=split, seed=7)
+    list(export_published(exported_splits(made / "shards"), made / RELEASE))
     return folder
 
 
@@ -76,15 +67,8 @@ def pack(root: Path) -> Path:
     for data in root.glob("*/*/data"):
         with tarfile.open(data.parent / "data.tar.gz", "w:gz") as tar:
             tar.add(data, "data")
-        remove(data)
+        shutil.rmtree(data)
     return root
-
-
-def remove(folder: Path) -> None:
-    """Delete a folder with its contents."""
-    for path in folder.iterdir():
-        remove(path) if path.is_dir() else path.unlink()
-    folder.rmdir()
 
 
 def file_of(root: Path, name: str, kind: str, body: str = BODIES[0]) -> Path:
@@ -92,28 +76,11 @@ def file_of(root: Path, name: str, kind: str, body: str = BODIES[0]) -> Path:
     return root / BATCH / body / "data" / name / f"{name}{ENDINGS[kind]}"
 
 
-def fail(root: Path, name: str, body: str) -> None:
-    """Add a failed garment to the properties."""
-    path = root / BATCH / body / properties_name(body)
-    tree = yaml.safe_load(path.read_text())
-    tree["sim"]["stats"]["fails"]["static_equilibrium"].append(name)
-    # The authors' tools write NumPy scalars with such tags.
-    path.write_text(yaml.safe_dump(tree) + "odd: !!python/object/apply:numpy.core.multiarray.scalar [a, b]\n")
-
-
 def split_lists(root: Path) -> dict[str, list[str]]:
     """The content of the split file."""
     (path,) = root.glob("*split*.json")
     lists: dict[str, list[str]] = json.loads(path.read_text())
     return lists
-
-
-def touch_vertex(sample: Sample) -> Sample:
-    """The garment with one vertex of its drape moved onto another."""
-    assert sample.drape is not None
-    vertices = np.array(sample.drape.vertices)
-    vertices[-1] = vertices[-2]
-    return replace(sample, drape=replace(sample.drape, vertices=vertices))
 
 
 def publish_people(folder: Path, people: Sequence[Person], mesh: BodyMesh) -> Path:

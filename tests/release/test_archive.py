@@ -9,19 +9,14 @@ import pytest
 
 from gcd_dataset.errors import OutputError, ShardError
 from gcd_dataset.release.archive import KINDS, Archive
-from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
+from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack
 from tests.shards.folders import forbidden, public_folder
 
 
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return publish(tmp_path_factory.mktemp("folders"))
-
-
 @pytest.fixture
-def archive(folders: Path, tmp_path: Path) -> Path:
+def archive(own: Path) -> Path:
     """The archive of one batch."""
-    return pack(Path(shutil.copytree(folders, tmp_path / "packed"))) / BATCH / BODIES[0] / "data.tar.gz"
+    return pack(own) / BATCH / BODIES[0] / "data.tar.gz"
 
 
 def test_every_file_reads_as_packed(folders: Path, archive: Path) -> None:
@@ -53,22 +48,19 @@ def test_the_cache_of_another_archive_is_not_used(archive: Path) -> None:
 
 def test_a_damaged_archive_is_named_with_a_remedy(archive: Path) -> None:
     whole = archive.read_bytes()
-    archive.write_bytes(whole[:-2000])
-    with pytest.raises(ShardError, match=r"data\.tar\.gz: a damaged archive .*: extract or download it again"):
-        Archive.opened(archive, None)
-    flipped = bytearray(whole)
-    flipped[len(whole) // 2] ^= 1
-    archive.write_bytes(flipped)
-    with pytest.raises(ShardError, match=r"data\.tar\.gz: a damaged archive"):
-        Archive.opened(archive, None)
-    changed = bytearray(gzip.decompress(whole))
-    changed[changed.index(b"ustar")] = 0  # a header with a wrong checksum; tarfile would take it for the end
-    archive.write_bytes(gzip.compress(bytes(changed)))
-    with pytest.raises(ShardError, match=r"no tar header at byte"):
-        Archive.opened(archive, None)
-    archive.write_bytes(gzip.compress(bytes(10240)))
-    with pytest.raises(ShardError, match="holds no garment of the published layout"):
-        Archive.opened(archive, None)
+    half = len(whole) // 2
+    damaged = r"data\.tar\.gz: a damaged archive .*: extract or download it again"
+    # A header with a wrong checksum; tarfile would take it for the end.
+    header = gzip.compress(gzip.decompress(whole).replace(b"ustar", b"\0star", 1))
+    for content, message in (
+        (whole[:-2000], damaged),
+        (whole[:half] + bytes([whole[half] ^ 1]) + whole[half + 1 :], damaged),
+        (header, r"no tar header at byte"),
+        (gzip.compress(bytes(10240)), "holds no garment of the published layout"),
+    ):
+        archive.write_bytes(content)
+        with pytest.raises(ShardError, match=message):
+            Archive.opened(archive, None)
 
 
 def test_an_unwritable_index_suggests_cache_dir(archive: Path) -> None:

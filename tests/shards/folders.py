@@ -15,24 +15,28 @@ from gcd_dataset.loaders import fake
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Outfit, Sample
 from gcd_dataset.shards import ShardWriter, encode_sample
-from gcd_dataset.shards.layout import garments_layout
+from gcd_dataset.shards.layout import garments_layout, is_picture
 from gcd_dataset.shards.tar import END, tar_entry
 
 RECIPE = {"fake": True}
-PICTURES = (".jpg", "view_0.json", "view_1.json")
 SHARD_SIZE = 4
 
 
-def fill(folder: Path, indices: Iterable[int], *, seed: int = 0) -> Path:
-    """Write samples to a new folder."""
-    with open_writer(folder, seed=seed) as writer:
-        for index in sorted(indices):
-            writer.write(fake_sample(seed, index))
+def fill(folder: Path, indices: Iterable[int], *, seed: int = 0, **options: Any) -> Path:
+    """Write fake samples to a new folder."""
+    return write_samples(folder, (fake_sample(seed, index) for index in sorted(indices)), seed=seed, **options)
+
+
+def write_samples(folder: Path, samples: Iterable[Sample], **options: Any) -> Path:
+    """Write samples to a new folder; ``options``: of the writer."""
+    with ShardWriter(folder, **{"seed": 0, "recipe": RECIPE, "shard_size": SHARD_SIZE, **options}) as writer:
+        for sample in samples:
+            writer.write(sample)
     return folder
 
 
-def open_writer(folder: Path, *, seed: int = 0, split: str = "train") -> ShardWriter:
-    return ShardWriter(folder, split=split, seed=seed, recipe=RECIPE, shard_size=SHARD_SIZE)
+def open_writer(folder: Path, *, split: str = "train") -> ShardWriter:
+    return ShardWriter(folder, split=split, seed=0, recipe=RECIPE, shard_size=SHARD_SIZE)
 
 
 def fake_outfit(index: int, count: int, **changes: Any) -> Sample:
@@ -47,11 +51,8 @@ def fake_outfit(index: int, count: int, **changes: Any) -> Sample:
 
 def fill_outfits(folder: Path, counts: Sequence[int], **changes: Any) -> Path:
     """Write outfits of so many garments to a new folder."""
-    layout = garments_layout(garments=max(counts))
-    with ShardWriter(folder, seed=0, recipe=RECIPE, shard_size=SHARD_SIZE, layout=layout) as writer:
-        for index, count in enumerate(counts):
-            writer.write(fake_outfit(index, count, **changes))
-    return folder
+    outfits = (fake_outfit(index, count, **changes) for index, count in enumerate(counts))
+    return write_samples(folder, outfits, layout=garments_layout(garments=max(counts)))
 
 
 @contextlib.contextmanager
@@ -103,15 +104,21 @@ def write_tar(path: Path, samples: Mapping[str, Mapping[str, bytes]]) -> Path:
 
 def write_shard(folder: Path, samples: Iterable[Sample], number: int = 0) -> tuple[Path, Path]:
     """Write a shard of the split ``train``, and the tar of its pictures."""
-    encoded = {sample.key: encode_sample(sample) for sample in samples}
+    return write_members(folder, {sample.key: encode_sample(sample) for sample in samples}, number)
+
+
+def write_members(folder: Path, samples: Mapping[str, Mapping[str, bytes]], number: int = 0) -> tuple[Path, Path]:
+    """The same, from the members of each key."""
     parts: tuple[dict[str, dict[str, bytes]], ...] = ({}, {})
-    for key, members in encoded.items():
+    for key, members in samples.items():
         for part, of_pictures in zip(parts, (False, True), strict=True):
-            part[key] = {name: data for name, data in members.items() if name.endswith(PICTURES) is of_pictures}
+            part[key] = {name: data for name, data in members.items() if is_picture(name) is of_pictures}
     name = f"train-{number:05d}.tar"
     return write_tar(folder / name, parts[0]), write_tar(folder / "views" / name, parts[1])
 
 
-def fake_shard(folder: Path, count: int = 3) -> tuple[Path, Path]:
-    """A shard of fake garments ``gcd_000000000`` …, and the tar of its pictures."""
-    return write_shard(folder, (fake_sample(0, index) for index in range(count)))
+def flip(path: Path, place: int) -> None:
+    """Change a bit of a byte of a file."""
+    content = bytearray(path.read_bytes())
+    content[place] ^= 1
+    path.write_bytes(content)

@@ -12,9 +12,8 @@ from gcd_dataset.records import MEASURES, BodyPart, BodyShape, Measurements
 from gcd_dataset.shards import ShardWriter
 from gcd_dataset.shards.body_set import encode_person, mesh_bytes
 from gcd_dataset.shards.layout import BODIES, mesh_name
+from tests.shards.folders import RECIPE, SHARD_SIZE
 
-SHARD_SIZE = 4
-RECIPE = {"fake": True}
 MESH = BodyMesh(
     faces=np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]),
     parts=np.array(
@@ -46,16 +45,15 @@ def fill(
     *,
     seed: int = 0,
     split: str = "train",
-    mesh: BodyMesh = MESH,
     recipe: Mapping[str, Any] = RECIPE,
     **options: Any,
 ) -> Path:
     """Write people to a folder."""
-    recipe = {**recipe, "mesh": mesh.sha256}
+    recipe = {**recipe, "mesh": MESH.sha256}
     origin = {"seed": seed, "versions": {"gcd_dataset": __version__}, "recipe": recipe}
     given = {"shard_size": SHARD_SIZE, **options}
     with ShardWriter(folder, split=split, seed=seed, recipe=recipe, layout=BODIES, **given) as writer:
         for index in sorted(indices):
             writer.add(index, encode_person(fake_person(index), {**origin, "index": index}))
-    (folder / mesh_name(split)).write_bytes(mesh_bytes(mesh))
+    (folder / mesh_name(split)).write_bytes(mesh_bytes(MESH))
     return folder

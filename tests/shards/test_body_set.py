@@ -12,15 +12,10 @@ from gcd_dataset.shards import BODIES, ShardReader
 from gcd_dataset.shards.body_set import decode_body_fields, decode_person, encode_person, mesh_bytes, read_set_mesh
 from gcd_dataset.shards.sections import pack, unpack
 from tests.shards import folders
-from tests.shards.people import MESH, RECIPE, fake_person, fill
+from tests.shards.folders import RECIPE
+from tests.shards.people import MESH, fake_person, fill
 
 ORIGIN = {"index": 3, "seed": 0, "recipe": RECIPE, "versions": {"gcd_dataset": "0"}}
-
-
-@pytest.fixture
-def whole(tmp_path: Path) -> Path:
-    """Ten people in shards of four, by one writer."""
-    return fill(tmp_path / "whole", range(10))
 
 
 def test_a_person_is_stored_to_a_hundredth_of_a_millimetre() -> None:
@@ -52,7 +47,8 @@ def test_nan_positions_are_not_stored() -> None:
         encode_person(replace(fake_person(3), shape=shape), ORIGIN)
 
 
-def test_manifest_and_mesh_are_read_back(whole: Path, tmp_path: Path) -> None:
+def test_manifest_and_mesh_are_read_back(tmp_path: Path) -> None:
+    whole = fill(tmp_path / "whole", range(10))
     split = ShardReader(whole, layout=BODIES).record
     assert (split.plan.kind, split.plan.recipe) == ("bodies", {**RECIPE, "mesh": MESH.sha256})
     assert [shard.count for shard in split.shards] == [4, 4, 2]
@@ -79,7 +75,8 @@ def test_damaged_people_are_one_sentence(change: dict[str, np.ndarray | None]) -
             decode_person({**members, "person.z": data})
 
 
-def test_garments_and_bodies_are_distinguished_and_share_a_folder_as_two_splits(whole: Path, tmp_path: Path) -> None:
+def test_garments_and_bodies_are_distinguished_and_share_a_folder_as_two_splits(tmp_path: Path) -> None:
+    whole = fill(tmp_path / "whole", range(1))
     with pytest.raises(ShardError, match="holds bodies, not garments: read them with BodyDataset"):
         ShardReader(whole)
     with pytest.raises(ConfigError, match="holds split train already: choose another folder"):

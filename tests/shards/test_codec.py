@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders.fake import fake_sample
@@ -239,9 +240,8 @@ def test_what_the_format_cannot_hold_is_refused(sample: Sample) -> None:
 
 
 def test_pictures_are_channels_first_and_a_missing_one_is_a_valid_jpeg(sample: Sample) -> None:
-    file = io.BytesIO()
-    Image.new("RGB", (24, 8), (250, 10, 10)).save(file, "JPEG", quality=95)
-    members = encode_sample(replace(sample, front=file.getvalue(), back=None))
+    picture = jpeg_bytes(np.full((8, 24, 3), (250, 10, 10), np.uint8))
+    members = encode_sample(replace(sample, front=picture, back=None))
     with Image.open(io.BytesIO(members["back.jpg"])) as image:
         assert image.size == (1, 1)
     read = decode_fields(members, ["front", "back"])
@@ -354,13 +354,19 @@ def test_sections_that_contradict_each_other_are_one_sentence(sample: Sample) ->
             decode_fields({**members, "points.z": pack(stored)}, ["points"])
 
 
-def test_closures_are_stored_where_a_seam_is_not_sewn(sample: Sample) -> None:
+def test_closures_and_lines_are_stored_where_there_are_any(sample: Sample) -> None:
     seams = (replace(sample.pattern.seams[0], closure=Closure.ZIP, closed=(0.3, 1.0)), sample.pattern.seams[1])
-    zipped = encode_sample(replace(sample, pattern=replace(sample.pattern, seams=seams)))
-    assert decode_sample(zipped).pattern.seams == decode_pattern(next(patterns_of(zipped))).seams == seams
-    sewn = encode_sample(sample)
-    assert "closures" not in unpack(sewn["pattern.z"])
-    assert decode_fields(sewn, ["closures"])["closures"].tolist() == [[0, 0, 1], [0, 0, 1]]
+    lined = replace(sample.pattern.panels[0], lines=(InnerLine(0, 2, role=LineRole.PLACEMENT),))
+    pattern = replace(sample.pattern, panels=(lined, *sample.pattern.panels[1:]), seams=seams)
+    stored, plain = encode_sample(replace(sample, pattern=pattern)), encode_sample(sample)
+    for read in (decode_sample(stored).pattern, decode_pattern(next(patterns_of(stored)))):
+        assert (read.seams, read.panels[0].lines) == (seams, lined.lines)
+    sections = unpack(stored["pattern.z"])
+    assert sections["lines"].shape == (1, 16)  # as earlier versions read and wrote it
+    assert "angles" not in sections
+    assert not {"closures", "lines"} & unpack(plain["pattern.z"]).keys()
+    fields = decode_fields(plain, ["closures", "lines"])
+    assert (fields["closures"].tolist(), fields["lines"].shape) == ([[0, 0, 1], [0, 0, 1]], (0, 17))
 
 
 half_degrees = st.integers(-360, 360).map(lambda number: 0.5 * number)
@@ -386,27 +392,12 @@ def test_folds_and_the_seams_of_their_layers_survive_in_all_formats(one: float, 
         assert [read.layers(seam) for seam in seams] == [pleat.layers(seam) for seam in seams]
 
 
-def test_lines_are_stored_where_there_are_any(sample: Sample) -> None:
-    first = sample.pattern.panels[0]
-    lined = replace(first, lines=(InnerLine(0, 2, role=LineRole.PLACEMENT),))
-    pattern = replace(sample.pattern, panels=(lined, *sample.pattern.panels[1:]))
-    stored = encode_sample(replace(sample, pattern=pattern))
-    assert decode_sample(stored).pattern.panels[0].lines == lined.lines
-    assert decode_pattern(next(patterns_of(stored))).panels[0].lines == lined.lines
-    plain = encode_sample(sample)
-    assert "lines" not in unpack(plain["pattern.z"])
-    sections = unpack(stored["pattern.z"])
-    assert sections["lines"].shape == (1, 16)  # as earlier versions read and wrote it
-    assert "angles" not in sections
-    assert decode_fields(plain, ["lines"])["lines"].shape == (0, 17)
-
-
 def with_maps(sample: Sample, pressure: np.ndarray) -> Sample:
     count = len(pressure)
     return replace(sample, maps=Maps(np.ones((count, 2)), np.zeros(count), pressure, softened=1.0))
 
 
-def test_maps_have_a_row_for_each_vertex(sample: Sample) -> None:
+def test_maps_have_a_row_for_each_vertex_and_finite_pressures(sample: Sample) -> None:
     assert sample.drape is not None
     count = len(sample.drape.vertices)
     with pytest.raises(ShardError, match=f"000012 cannot be stored: stretch has 3 rows for {count} vertices"):
@@ -416,11 +407,7 @@ def test_maps_have_a_row_for_each_vertex(sample: Sample) -> None:
     for wanted in (["gap"], None):
         with pytest.raises(ShardError, match=rf"^member maps\.z: gap has 3 rows for {count} vertices: copy its shard"):
             decode_fields({**members, "maps.z": short}, wanted)
-
-
-def test_a_pressure_is_stored_as_a_finite_number(sample: Sample) -> None:
-    assert sample.drape is not None
-    pressure, stored = (np.resize([2.0, most, np.nan], len(sample.drape.vertices)) for most in (1e6, 65504.0))
+    pressure, stored = (np.resize([2.0, most, np.nan], count) for most in (1e6, 65504.0))
     maps = decode_sample(encode_sample(with_maps(sample, pressure))).maps
     assert maps is not None and np.array_equal(maps.pressure, stored, equal_nan=True)
 

@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,8 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import StoredView
 from gcd_dataset.shards import FIELDS, ShardReader
 from gcd_dataset.shards.hdf5 import write_hdf5
-from tests.shards.folders import fill, open_writer
+from tests.loaders.test_shards import assert_all_same
+from tests.shards.folders import fill, flip, open_writer
 
 COUNT = 6
 
@@ -36,18 +38,11 @@ def file(folder: Path) -> Path:
     return folder / "train.h5"
 
 
-def assert_same(items: Any, others: Any) -> None:
-    for before, after in zip(map(dict[str, Any], items), map(dict[str, Any], others), strict=True):
-        assert list(before) == list(after)
-        for field, value in before.items():
-            same = torch.equal(value, after[field]) if isinstance(value, torch.Tensor) else value == after[field]
-            assert same, field
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, None])
 def test_items_equal_the_items_of_the_shards(folder: Path, file: Path, dtype: torch.dtype | None) -> None:
     shards, one = GarmentDataset(folder, dtype=dtype), Hdf5Garments(file, dtype=dtype)
-    assert_same(shards, one)
+    assert_all_same(shards, one)
+    assert list(shards[0]) == list(one[0])
     assert (len(one), one.split, one.recipe(2)) == (COUNT, "train", shards.recipe(2))
     assert Hdf5Garments(file, fields="verts")[-1].keys() == {"verts"}
     assert one["gcd_000000004"]["meta"]["index"] == one[1]["meta"]["index"] == 4
@@ -72,7 +67,7 @@ def test_captions_views_and_skipped_stages(tmp_path: Path) -> None:
     one = Hdf5Garments(tmp_path / "views.h5")
     assert set(one[0]) == {*FIELDS, "caption", "view_0", "view_0_json", "view_1", "view_1_json"}
     for fields in (None, ["views", "camera_k", "camera_rt"], ["caption", "verts"]):
-        assert_same(GarmentDataset(tmp_path / "views", fields=fields), Hdf5Garments(tmp_path / "views.h5", fields))
+        assert_all_same(GarmentDataset(tmp_path / "views", fields=fields), Hdf5Garments(tmp_path / "views.h5", fields))
     one = Hdf5Garments(tmp_path / "patterns.h5")
     assert one.fields == ("meta", "spec", "design", "measures", "panels", "edges", "stitches", "closures", "lines")
     with pytest.raises(ConfigError, match="these garments end with stage pattern, and faces come with stage mesh"):
@@ -131,27 +126,22 @@ def test_files_by_other_programs_are_reported(file: Path, tmp_path: Path) -> Non
             Hdf5Garments(tmp_path / f"{name}.h5")
 
 
-def replaced(name: str, **given: Any) -> Callable[[h5py.File], None]:
+def replaced(name: str, value: Any = None, **given: Any) -> Callable[[h5py.File], None]:
+    """By a value, a link, or a data set of these options."""
+
     def change(file: h5py.File) -> None:
         del file[name]
-        file.create_dataset(name, **given)
-
-    return change
-
-
-def linked(link: Any) -> Callable[[h5py.File], None]:
-    def change(file: h5py.File) -> None:
-        del file["verts"]
-        file["verts"] = link
+        if value is None:
+            file.create_dataset(name, **given)
+        else:
+            file[name] = value
 
     return change
 
 
 def external(file: h5py.File) -> None:
-    shape, dtype = file["verts"].shape, file["verts"].dtype
-    del file["verts"]
-    size = int(np.prod(shape)) * dtype.itemsize
-    file.create_dataset("verts", shape, dtype, external=[("/dev/zero", 0, size)])
+    verts = file["verts"]
+    replaced("verts", shape=verts.shape, dtype=verts.dtype, external=[("/dev/zero", 0, verts.nbytes)])(file)
 
 
 def virtual(file: h5py.File) -> None:
@@ -164,8 +154,7 @@ def virtual(file: h5py.File) -> None:
 def sparse(file: h5py.File) -> None:
     """12 TB that no one has written."""
     file["verts_ptr"][COUNT] = 1 << 40
-    del file["verts"]
-    file.create_dataset("verts", (1 << 40, 3), "<f4")
+    replaced("verts", shape=(1 << 40, 3), dtype="<f4")(file)
 
 
 @pytest.mark.parametrize(
@@ -174,14 +163,14 @@ def sparse(file: h5py.File) -> None:
         (lambda file: file.attrs.__setitem__("schema", 99), "of schema 99, but this reader knows 3: export it again"),
         (lambda file: file.attrs.__setitem__("format", [1, 2]), "not written by gcd export"),
         (lambda file: file.attrs.__setitem__("count", 1 << 40), r"crc32 is uint32 of shape \(6,\), expected"),
-        (replaced("spec", data=np.zeros(COUNT)), r"spec is float64 of shape \(6,\)"),
-        (replaced("panels", data=np.zeros((12, 14), ">f8")), "panels is >f8 of shape"),
+        (replaced("spec", np.zeros(COUNT)), r"spec is float64 of shape \(6,\)"),
+        (replaced("panels", np.zeros((12, 14), ">f8")), "panels is >f8 of shape"),
         (replaced("verts", data=np.zeros((99, 3), "<f4"), chunks=(9, 3), compression="gzip"), "verts is no contiguous"),
         (lambda file: file["verts_ptr"].__setitem__(1, 1 << 40), "verts_ptr does not rise from 0"),
         (lambda file: file["verts_ptr"].__setitem__(COUNT, 1 << 40), "verts is float32 of shape"),
         (lambda file: file.__delitem__("verts_ptr"), "verts_ptr is no contiguous array"),
-        (linked(h5py.ExternalLink("/etc/passwd", "verts")), "verts is no contiguous array|unable"),
-        (linked(h5py.SoftLink("/faces")), "verts is no contiguous array"),
+        (replaced("verts", h5py.ExternalLink("/etc/passwd", "verts")), "verts is no contiguous array|unable"),
+        (replaced("verts", h5py.SoftLink("/faces")), "verts is no contiguous array"),
         (external, "verts is no contiguous array of this file"),
         (virtual, "verts is no contiguous array of this file"),
         (sparse, "verts ends at byte"),
@@ -202,10 +191,9 @@ def test_a_changed_byte_is_found(folder: Path, file: Path, tmp_path: Path) -> No
     verts = GarmentDataset(folder)[2]["verts"].numpy()
     design = bytes(ShardReader(folder).read(2, ["design.txt"])["design.txt"])
     for part in (verts.tobytes(), design):
-        content = bytearray(file.read_bytes())
-        content[content.index(part) + 11] ^= 1
-        (tmp_path / "changed.h5").write_bytes(content)
-        one = Hdf5Garments(tmp_path / "changed.h5")
+        changed = Path(shutil.copy(file, tmp_path / "changed.h5"))
+        flip(changed, changed.read_bytes().index(part) + 11)
+        one = Hdf5Garments(changed)
         one.verify(1)
         with pytest.raises(ShardError, match=r"changed\.h5: sample 2: bytes differ from the written ones"):
             one.verify(2)

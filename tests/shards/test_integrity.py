@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import struct
+import tarfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -24,11 +25,10 @@ from gcd_dataset.shards import ShardReader, decode_sample, encode_sample
 from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.cache import make_room, size_in_bytes
 from gcd_dataset.shards.codec import decode_field
-from gcd_dataset.shards.layout import is_picture
 from gcd_dataset.shards.meta import sealed
 from gcd_dataset.shards.notes import gather
-from gcd_dataset.shards.tar import BLOCK, END, tar_entry
-from tests.shards.folders import fill, forbidden, public_folder
+from gcd_dataset.shards.tar import BLOCK, END
+from tests.shards.folders import fill, flip, forbidden, public_folder, write_members
 
 Change = Callable[[Any], object]
 STRANGE = (b"[" * 100_000, b'{"n":' + b"9" * 5000 + b"}", b"[]", b"\xff", b"NaN")
@@ -51,15 +51,7 @@ def bare(folder: Path) -> Path:
 
 def shard_of(folder: Path, *samples: dict[str, bytes], first: int = 0) -> Path:
     """A folder with one shard of these samples, without notes."""
-    (folder / "views").mkdir(parents=True)
-    for path, pictures in ((folder / "train-00000.tar", False), (folder / "views" / "train-00000.tar", True)):
-        entries = [
-            tar_entry(f"gcd_{number:09d}.{member}", data)
-            for number, members in enumerate(samples, first)
-            for member, data in members.items()
-            if is_picture(member) is pictures
-        ]
-        path.write_bytes(b"".join([*entries, bytes(END)]))
+    write_members(folder, {f"gcd_{number:09d}": members for number, members in enumerate(samples, first)})
     return folder
 
 
@@ -90,12 +82,6 @@ def setting(*path: str | int, to: Any) -> Change:
         entry[path[-1]] = to
 
     return change
-
-
-def flip(path: Path, place: int) -> None:
-    content = bytearray(path.read_bytes())
-    content[place] ^= 1
-    path.write_bytes(content)
 
 
 TRAIN, SHARD = ("splits", "train"), ("splits", "train", "shards", 0)
@@ -197,12 +183,9 @@ def test_notes_are_made_again_from_whole_members_alone(bare: Path) -> None:
 
 
 def test_a_member_of_gigabytes_is_refused_before_it_is_read(tmp_path: Path) -> None:
-    header = bytearray(tar_entry("gcd_000000000.meta.json", b""))
-    header[124:135] = b"%011o" % (8**11 - 1)
-    header[148:156] = 8 * b" "
-    header[148:156] = b"%06o\0 " % sum(header)
-    path = tmp_path / "train-00000.tar"
-    path.write_bytes(header)
+    path, info = tmp_path / "train-00000.tar", tarfile.TarInfo("gcd_000000000.meta.json")
+    info.size = 8**11 - 1
+    path.write_bytes(info.tobuf(tarfile.USTAR_FORMAT))
     os.truncate(path, 8**11 + 2048)
     with pytest.raises(ShardError, match=r"train-00000\.tar: .* bytes of JSON, over the limit"):
         ShardReader(tmp_path)

@@ -24,19 +24,21 @@ from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.loaders.hdf5 import Hdf5Garments
 from gcd_dataset.making.garments import encoded
-from gcd_dataset.records import Layer, Outcome, Outfit, Sample, WornGarment
-from gcd_dataset.shards import FIELDS, MEMBERS, ShardReader, ShardWriter, decode_fields, decode_sample, encode_sample
+from gcd_dataset.records import Layer, Outcome, WornGarment
+from gcd_dataset.shards import FIELDS, MEMBERS, ShardReader, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import garments_layout, of_garment
 from gcd_dataset.shards.meta import sealed
+from tests.loaders.test_shards import assert_all_same
 from tests.shards import stranger
-from tests.shards.folders import fake_outfit, fill_outfits
+from tests.shards.folders import fake_outfit, fill_outfits, write_samples
 from tests.shards.test_codec import form
-from tests.shards.test_hdf5 import assert_same
 from tests.shards.test_integrity import resealed
-from tests.shards.test_reader import flip
+from tests.shards.test_reader import flip_member
 
 COUNTS = (1, 2, 3, 2)
+LACKING = {"drape": (), "mesh": ("drape", "front", "back"), "pattern": ("box_mesh", "drape", "front", "back")}
+"""Stage to what its samples lack."""
 
 
 @pytest.fixture(scope="module")
@@ -54,11 +56,11 @@ def test_a_single_garment_keeps_its_bytes_and_members() -> None:
     index=st.integers(0, 99),
     count=st.integers(1, 4),
     more=st.integers(0, 2),
-    stage=st.sampled_from(["drape", "mesh", "pattern"]),
+    stage=st.sampled_from(sorted(LACKING)),
     wrong=st.floats(0.0, 1.0),
 )
 def test_an_outfit_comes_back_whole(index: int, count: int, more: int, stage: str, wrong: float) -> None:
-    sample = at_stage(fake_outfit(index, count), stage)
+    sample = fake_outfit(index, count, **dict.fromkeys(LACKING[stage]))
     if sample.outfit is not None:
         layers = tuple(replace(layer, wrong_order=wrong) for layer in sample.outfit.layers)
         sample = replace(sample, outfit=replace(sample.outfit, layers=layers))
@@ -77,18 +79,6 @@ def test_an_outfit_comes_back_whole(index: int, count: int, more: int, stage: st
         assert (read.box_mesh is None, read.drape is None) == (given_.box_mesh is None, given_.drape is None)
         if read.drape is not None and given_.drape is not None:
             assert np.abs(read.drape.vertices - given_.drape.vertices).max() < 1e-3
-
-
-def at_stage(sample: Sample, stage: str) -> Sample:
-    """The sample, made up to this stage."""
-    lacking: dict[str, Any] = {"drape": {}, "mesh": {"drape": None}, "pattern": {"drape": None, "box_mesh": None}}[
-        stage
-    ]
-    outfit = sample.outfit and Outfit(
-        tuple(replace(garment, **lacking) for garment in sample.outfit.garments), sample.outfit.layers
-    )
-    pictures: dict[str, Any] = {} if stage == "drape" else {"front": None, "back": None}
-    return replace(sample, outfit=outfit, **lacking, **pictures)
 
 
 def test_every_sample_of_a_set_has_the_members_and_types_of_its_largest_outfit(folder: Path) -> None:
@@ -125,7 +115,7 @@ def test_items_hold_each_garment_and_no_rows_of_absent_ones(folder: Path, tmp_pa
             assert (entry["tucked"], entry["closed"], entry["fabric"]["name"]) == (False, number != 1, "denim")
     chosen = GarmentDataset(folder, fields=["g2_box", "verts"], cache_dir=tmp_path)
     columns = chosen.__getitems__(range(len(COUNTS)))  # from mapped columns
-    assert_same(columns, list(chosen))
+    assert_all_same(columns, list(chosen))
     assert [len(item["g2_box"]) > 0 for item in columns] == [count > 2 for count in COUNTS]
 
 
@@ -160,7 +150,7 @@ def test_webdataset_and_datasets_read_all_garments(folder: Path, tmp_path: Path)
 def test_an_hdf5_file_holds_all_garments(folder: Path, tmp_path: Path) -> None:
     list(write_hdf5(ShardReader(folder), tmp_path / "train.h5"))
     one = Hdf5Garments(tmp_path / "train.h5")
-    assert_same(one, GarmentDataset(folder, cache_dir=tmp_path))
+    assert_all_same(one, GarmentDataset(folder, cache_dir=tmp_path))
     assert one.sample(2) == GarmentDataset(folder).sample(2)
 
 
@@ -185,16 +175,14 @@ def test_an_outfit_is_settled_if_all_its_garments_are(tmp_path: Path) -> None:
     slid = replace(outer, drape=replace(sample.outfit.garments[1].drape, outcome=Outcome.SLID_OFF))
     loose = replace(sample, outfit=replace(sample.outfit, garments=(inner, slid)))
     for made, settled in ((sample, True), (loose, False)):
-        layout = garments_layout(garments=2)
-        with ShardWriter(tmp_path / str(settled), seed=0, recipe={}, layout=layout) as writer:
-            writer.write(made)
-        assert ShardReader(tmp_path / str(settled)).index.settled.tolist() == [settled]
+        folder = write_samples(tmp_path / str(settled), [made], layout=garments_layout(garments=2))
+        assert ShardReader(folder).index.settled.tolist() == [settled]
         assert encoded(MakeConfig(), False, made).failed is not settled
 
 
 def test_a_damaged_member_of_a_further_garment_is_named(tmp_path: Path) -> None:
     fill_outfits(tmp_path / "set", (2,) * 6)
-    flip(tmp_path / "set", 5, "g1.mesh.z")
+    flip_member(tmp_path / "set", 5, "g1.mesh.z")
     with pytest.raises(ShardError, match=r"train-00001.tar: sample gcd_000000005, member g1\.mesh\.z: bytes differ"):
         ShardReader(tmp_path / "set").sample(5)
     members = encode_sample(fake_outfit(0, 2))

@@ -17,8 +17,9 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, store
 from gcd_dataset.shards.layout import key_of
 from gcd_dataset.shards.store import FolderStore
+from gcd_dataset.shards.tar import BLOCK
 from gcd_dataset.shards.writer import draft_name
-from tests.shards.folders import fill, forbidden, public_folder
+from tests.shards.folders import fill, flip, forbidden, public_folder
 
 
 @pytest.fixture
@@ -26,14 +27,13 @@ def folder(tmp_path: Path) -> Path:
     return fill(tmp_path / "data", range(10))
 
 
-def flip(folder: Path, sample: int, member: str) -> None:
+def flip_member(folder: Path, sample: int, member: str) -> None:
     """Change one bit in the middle of a member."""
-    for path in (folder / "train-00001.tar", folder / "views" / "train-00001.tar"):
-        content = bytearray(path.read_bytes())
+    for path in folder.rglob("train-*.tar"):
+        content = path.read_bytes()
         place = content.find(f"{key_of(sample)}.{member}\0".encode())
         if place >= 0:
-            content[place + 512 + int(content[place + 124 : place + 135], 8) // 2] ^= 4
-            path.write_bytes(content)
+            flip(path, place + BLOCK + int(content[place + 124 : place + 135], 8) // 2)
 
 
 def test_members_are_read_in_any_order(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,7 +56,7 @@ def test_a_flipped_bit_is_named(folder: Path, member: str) -> None:
     message = f"train-00001.tar: sample gcd_000000005, member {member}"
     early, lazy, blind = ShardReader(folder), ShardReader(folder), ShardReader(folder, verify="off")
     early.read(5, MEMBERS)
-    flip(folder, 5, member)
+    flip_member(folder, 5, member)
     lazy.read(4, MEMBERS)
     for _ in range(2):
         with pytest.raises(ShardError, match=message):

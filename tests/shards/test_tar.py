@@ -18,23 +18,31 @@ from gcd_dataset import decode
 from gcd_dataset.errors import ShardError
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import StoredView
-from gcd_dataset.shards import MEMBERS, decode_fields, encode_sample
+from gcd_dataset.shards import FIELDS, MEMBERS, decode_fields, encode_sample
 from gcd_dataset.shards.body_set import encode_person
 from gcd_dataset.shards.layout import is_picture
 from gcd_dataset.shards.tar import BLOCK, END, samples_in, tar_entries, tar_entry
-from tests.shards.folders import fake_shard, fill, write_shard, write_tar
+from tests.shards.folders import fill, write_shard, write_tar
 from tests.shards.people import fake_person
 
 MAIN = [member for member in MEMBERS if not is_picture(member)]
 
 
-@pytest.fixture
-def shard(tmp_path: Path) -> Path:
-    return fill(tmp_path, range(3)) / "train-00000.tar"
+# webdataset closes no tar.
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+
+ARRAYS = {field for field, member in FIELDS.items() if member.endswith(".z")}
 
 
-def test_tarfile_reads_a_shard(shard: Path) -> None:
-    with tarfile.open(shard) as archive:
+@pytest.fixture(scope="module")
+def tars(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A shard of three samples, and the tar of its pictures."""
+    folder = fill(tmp_path_factory.mktemp("tars"), range(3))
+    return folder / "train-00000.tar", folder / "views" / "train-00000.tar"
+
+
+def test_tarfile_reads_a_shard(tars: tuple[Path, Path]) -> None:
+    with tarfile.open(tars[0]) as archive:
         members = archive.getmembers()
         assert [m.name for m in members] == [f"gcd_{i:09d}.{member}" for i in range(3) for member in MAIN]
         assert {(m.mtime, m.uid, m.gid, m.mode, m.uname, m.type) for m in members} == {(0, 0, 0, 0o644, "", b"0")}
@@ -67,8 +75,8 @@ def test_entries_of_any_size_are_read_back_and_damage_is_reported_with_its_offse
         tar_entry("x" * 101, b"")
 
 
-def test_samples_of_an_archive_in_memory_are_found(shard: Path) -> None:
-    content = memoryview(shard.read_bytes())
+def test_samples_of_an_archive_in_memory_are_found(tars: tuple[Path, Path]) -> None:
+    content = memoryview(tars[0].read_bytes())
     samples = dict(samples_in(content))
     assert list(samples) == [f"gcd_{index:09d}" for index in range(3)]
     assert bytes(samples["gcd_000000002"]["verts.z"]) == encode_sample(fake_sample(0, 2))["verts.z"]
@@ -76,22 +84,6 @@ def test_samples_of_an_archive_in_memory_are_found(shard: Path) -> None:
     for damaged, message in ((content[:3000], "is cut off"), (again, "occurs twice")):
         with pytest.raises(ShardError, match=message):
             list(samples_in(damaged))
-
-
-# webdataset closes no tar.
-pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-
-COUNT = 3
-ARRAYS = {
-    "panels", "edges", "stitches", "closures", "lines", "body", "faces", "uv", "panel_id", "labels", "seams", "corners",
-    "uv_vertex", "box", "verts", "points",
-}  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def tars(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A shard, and the tar of its pictures."""
-    return fake_shard(tmp_path_factory.mktemp("tars"), COUNT)
 
 
 def assert_arrays(found: Mapping[str, Any], index: int) -> None:

@@ -1,11 +1,10 @@
 """The small writer: new splits in ascending order, all or nothing."""
 
-import contextlib
 import hashlib
 import json
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -61,8 +60,7 @@ def test_samples_ascend_and_splits_are_new(whole: Path, tmp_path: Path) -> None:
     before = contents(whole)
     with pytest.raises(ConfigError, match="holds split train already: choose another folder"):
         open_writer(whole)
-    with open_writer(whole, split="test") as writer:
-        writer.write(fake_sample(0, 0))
+    fill(whole, [0], split="test")
     assert (len(ShardReader(whole)), len(ShardReader(whole, "test"))) == (10, 1)
     assert before.items() <= {**contents(whole), "manifest.json": before["manifest.json"]}.items()
 
@@ -97,7 +95,15 @@ def test_nothing_stays_of_an_error_and_a_kill_is_no_hindrance(tmp_path: Path, wh
             writer.write(fake_sample(0, index))
         raise KeyboardInterrupt
     assert not contents(folder)
-    with no_name(1), pytest.raises(KeyboardInterrupt):
+    put = Place.put
+
+    def refused(place: Place, path: Path, name: str) -> None:
+        if name == "train-00001.tar":
+            raise KeyboardInterrupt
+        put(place, path, name)
+
+    with pytest.MonkeyPatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(Place, "put", refused)
         fill(folder, range(10))
     assert not contents(folder)
     if (child := os.fork()) == 0:
@@ -109,25 +115,8 @@ def test_nothing_stays_of_an_error_and_a_kill_is_no_hindrance(tmp_path: Path, wh
     assert contents(fill(folder, range(10))) == contents(whole)
 
 
-@contextlib.contextmanager
-def no_name(number: int) -> Iterator[None]:
-    """Stop the process before a shard gets its name."""
-    put = Place.put
-
-    def refused(place: Place, path: Path, name: str) -> None:
-        if name == f"train-{number:05d}.tar":
-            raise KeyboardInterrupt
-        put(place, path, name)
-
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(Place, "put", refused)
-        yield
-
-
 def test_a_set_of_fewer_samples_than_planned_is_unfinished(tmp_path: Path) -> None:
-    with ShardWriter(tmp_path, seed=0, recipe=RECIPE, count=100) as writer:
-        for index in range(7):
-            writer.write(fake_sample(0, index))
+    fill(tmp_path, range(7), count=100, shard_size=None)
     message = ShardReader(tmp_path).store.unfinished("train")
     assert message == "7 of 100 samples are made: the same command goes on"
     assert [shard.count for shard in ShardReader(tmp_path).record.shards] == [5, 2]
@@ -174,14 +163,6 @@ def own_draft(folder: Path) -> Draft:
     return draft(folder) or pytest.fail("locked, or finished")
 
 
-def begun(folder: Path, count: int) -> Path:
-    """The folder with a draft of ``count`` samples."""
-    with own_draft(folder) as opened:
-        for index in INDICES[:count]:
-            opened.add(index, encode_sample(fake_sample(0, index)))
-    return folder
-
-
 def finished(folder: Path) -> dict[str, bytes]:
     with own_draft(folder) as opened:
         for index in INDICES:
@@ -204,7 +185,10 @@ def zeroed(path: Path) -> None:
 @pytest.mark.parametrize("views", [False, True])
 @pytest.mark.parametrize("damage", [cut, zeroed, Path.unlink])
 def test_whole_samples_of_a_damaged_draft_are_kept(damage: Callable[[Path], None], views: bool, tmp_path: Path) -> None:
-    folder = begun(tmp_path / "damaged", 3)
+    folder = tmp_path / "damaged"
+    with own_draft(folder) as opened:
+        for index in range(3):
+            opened.add(index, encode_sample(fake_sample(0, index)))
     damage(folder / draft_name("train", 0, PLAN.count, views=views))
     with own_draft(folder) as opened:
         assert opened.done < {0, 1, 2}
