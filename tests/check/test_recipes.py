@@ -152,16 +152,6 @@ def test_the_command_line_makes_describes_and_verifies(
     assert "names recipe tiny" in capsys.readouterr().out
 
 
-def test_options_that_a_recipe_gives_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = str(tmp_path / "a")
-    for given in ("--count 5", "--seed 0", "--resolution 2", "--stage body"):
-        assert main(["generate", out, "--recipe", "smoke-64", *given.split()]) == 2
-        assert f"{given.split()[0]} is fixed by the recipe: leave it out" in capsys.readouterr().err
-    assert main(["generate", out]) == 2
-    assert "Give --count N, or --recipe NAME" in capsys.readouterr().err
-    assert not (tmp_path / "a").exists()
-
-
 def test_recipes_are_listed_and_described(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", "recipe:"]) == 0
     listed = capsys.readouterr().out.splitlines()

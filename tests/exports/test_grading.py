@@ -210,9 +210,3 @@ def test_a_specification_without_its_design_is_refused(tmp_path: Path, capsys: p
     spec.write_text(json.dumps({**tree, "design": TROUSERS}))
     assert run("grade", spec, "--chart", "women", "--out", again) == 1  # nine sizes are rejected
     assert capsys.readouterr().out.startswith(f"{again}: 3 of 12 sizes")
-
-
-def test_wrong_usage_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    design = design_file(tmp_path, {**TROUSERS, "waistband": {"waist": 1.0}})
-    assert run("grade", design, "--chart", "woman", "--out", tmp_path / "out") == 2
-    assert capsys.readouterr().err.startswith("gcd grade: no chart woman: there are women, men")

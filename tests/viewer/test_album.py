@@ -179,17 +179,6 @@ def test_maps_colour_the_cloth_alone_and_alike_where_nothing_stretches_or_presse
         assert ((green > 2 * red) & (green > 2 * blue)).sum() > 500
 
 
-@pytest.mark.parametrize("form", ["--html", "--sheet", ""])
-def test_maps_of_a_data_set_without_maps_are_refused(
-    form: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = [form, str(tmp_path / ("a.html" if form == "--html" else "a.png"))] if form else []
-    assert main(["show", str(folder), "--maps", *file]) == 2
-    assert capsys.readouterr().err.endswith(
-        "holds no maps of stretch, gap and pressure: gcd generate --maps stores them\n"
-    )
-
-
 def sheet_of(folder: Path, *options: str) -> tuple[int, tuple[int, int]]:
     """Exit code of ``gcd show --sheet``, and width and height of the sheet in tiles."""
     picture = folder.parent / "sheet.png"
