@@ -61,6 +61,10 @@ def one_line(text: str) -> str:
     return lines[0]
 
 
+def run(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
 def exit_code(arguments: list[str]) -> int:
     """Exit code of ``gcd``; for wrong usage the parser raises ``SystemExit``."""
     try:

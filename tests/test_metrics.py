@@ -13,6 +13,8 @@ from gcd_dataset.curves import LINE, Arc, Curve, Quadratic, mirrored
 from gcd_dataset.metrics import PatternScore, bootstrap_means, failed_score, mean_scores, score_pattern
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import euler_angles, read_pattern
+from tests import helpers
+from tests.generator.mesh import shapes
 
 PERFECT = PatternScore(1, 1, 1, 1, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0)
 
@@ -20,8 +22,7 @@ PERFECT = PatternScore(1, 1, 1, 1, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 
 def panel(
     name: str, corners: list[tuple[float, float]], place: tuple[float, float, float], curve: Curve = LINE
 ) -> Panel:
-    edges = tuple(Edge(i, (i + 1) % len(corners), curve if i == 0 else LINE) for i in range(len(corners)))
-    return Panel(name, np.array(corners), edges, Placement(np.array(place), np.array([0.0, 0.3, 0.0])))
+    return shapes.panel(name, corners, curves={0: curve}, at=place, turned=0.3)
 
 
 def garment() -> Pattern:
@@ -48,13 +49,8 @@ def shuffled(pattern: Pattern) -> Pattern:
 def renamed(pattern: Pattern) -> Pattern:
     """Swap the panels' names cyclically."""
     names = [panel.name for panel in pattern.panels]
-    new = dict(zip(names, names[1:] + names[:1], strict=True))
-
-    def ref(old: EdgeRef) -> EdgeRef:
-        return EdgeRef(new[old.panel], old.edge)
-
-    seams = tuple(replace(seam, left=ref(seam.right), right=ref(seam.left)) for seam in pattern.seams)
-    return replace(each(lambda panel: replace(panel, name=new[panel.name]))(pattern), seams=seams)
+    seams = tuple(replace(seam, left=seam.right, right=seam.left) for seam in pattern.seams)
+    return helpers.renamed(replace(pattern, seams=seams), dict(zip(names, names[1:] + names[:1], strict=True)))
 
 
 def started_elsewhere(pattern: Pattern) -> Pattern:

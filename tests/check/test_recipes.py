@@ -15,6 +15,7 @@ from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards import read_manifest
 from gcd_dataset.shards.manifest import RecipeRecord
 from tests.generator.test_recipes import TINY, written
+from tests.helpers import flip
 from tests.making import conftest
 
 made, recipe, toml = conftest.made, conftest.recipe, conftest.toml
@@ -129,10 +130,7 @@ def test_samples_in_the_wrong_split_are_reported(made: Path, recipe: Recipe, tmp
 
 
 def test_a_damaged_pattern_is_reported(copy: Path, recipe: Recipe) -> None:
-    shard = copy / "test-00000.tar"
-    content = bytearray(shard.read_bytes())
-    content[content.index(b".pattern.z\0") + 600] ^= 1
-    shard.write_bytes(content)
+    flip(copy / "test-00000.tar", b".pattern.z\0", 600)
     (message,) = recipe_faults(copy, recipe)
     assert "test-00000.tar" in message
     assert "pattern.z" in message

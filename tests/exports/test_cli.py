@@ -9,7 +9,6 @@ import pytest
 import trimesh
 from pypdf import PdfReader
 
-from gcd_dataset.cli import main
 from gcd_dataset.generator import fitting
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
@@ -19,6 +18,7 @@ from gcd_dataset.spec import read_pattern, write_pattern
 from tests.exports.dxf_reader import read_dxf
 from tests.exports.patterns import squares
 from tests.loaders.draping import SKIRTS
+from tests.test_cli import run
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +34,6 @@ def shards(worn: Sample, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def spec(tmp_path: Path) -> Path:
     write_pattern(squares(), tmp_path / "squares_specification.json")
     return tmp_path / "squares_specification.json"
-
-
-def run(*words: object) -> int:
-    return main([str(word) for word in words])
 
 
 @pytest.mark.parametrize("form", ["glb", "obj", "ply", "usd", "dxf", "pdf"])

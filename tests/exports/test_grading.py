@@ -14,7 +14,6 @@ import shapely
 from pypdf import PdfReader
 from pypdf.generic import ContentStream
 
-from gcd_dataset.cli import main
 from gcd_dataset.errors import BodyError, ConfigError
 from gcd_dataset.exports import dxf, pdf
 from gcd_dataset.generator import build_pattern, grade, read_chart
@@ -25,6 +24,7 @@ from gcd_dataset.spec import write_pattern
 from tests.exports.dxf_reader import read_dxf
 from tests.exports.patterns import exact_area, squares
 from tests.generator.garments.measured import lengths
+from tests.test_cli import run
 
 SHIRT = {"meta": {"upper": "FittedShirt", "bottom": None}}
 TROUSERS = {"meta": {"upper": None, "wb": "StraightWB", "bottom": "Pants"}, "waistband": {"waist": 1.3, "width": 0.2}}
@@ -165,10 +165,6 @@ def test_a_nest_has_a_size(tmp_path: Path) -> None:
 
 
 # ---------------------------------------------------------------------------------------------------------- gcd grade
-
-
-def run(*words: object) -> int:
-    return main([str(word) for word in words])
 
 
 def design_file(folder: Path, design: Mapping[str, Any]) -> Path:
