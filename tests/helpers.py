@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import trimesh
 
 from gcd_dataset.generator.device import Result, Resumable
-from gcd_dataset.records import Body, BoxMesh, EdgeRef, Measurements, Pattern, Seam
+from gcd_dataset.records import Body, BoxMesh, Drape, EdgeRef, Measurements, Outcome, Pattern, Sample, Seam
 from tests.generator.mesh.shapes import panel, rectangle
 
 SIZE = Measurements(height=170.0, head_l=26.0, waist_line=37.0, neck_w=19.0, armscye_depth=13.0)
@@ -100,3 +101,34 @@ def napkins() -> Pattern:
     """Two panels of 20 × 10 cm, sewn together."""
     panels = panel("one", rectangle(20, 10)), panel("two", rectangle(20, 10))
     return Pattern("napkins", panels, (Seam(EdgeRef("one", 1), EdgeRef("two", 3)),))
+
+
+def renamed(pattern: Pattern, names: Mapping[str, str]) -> Pattern:
+    """The pattern with other names of its panels; ``names``: old to new."""
+
+    def ref(old: EdgeRef) -> EdgeRef:
+        return replace(old, panel=names.get(old.panel, old.panel))
+
+    panels = [replace(panel, name=names.get(panel.name, panel.name)) for panel in pattern.panels]
+    seams = [replace(seam, left=ref(seam.left), right=ref(seam.right)) for seam in pattern.seams]
+    return replace(pattern, panels=tuple(panels), seams=tuple(seams))
+
+
+def parts(sample: Sample) -> tuple[BoxMesh, Drape]:
+    """Mesh and drape of a draped sample."""
+    assert sample.box_mesh is not None and sample.drape is not None
+    return sample.box_mesh, sample.drape
+
+
+def as_draped(made: Sample, outcome: Outcome = Outcome.SETTLED) -> Sample:
+    """A garment whose drape is faked: the vertices are the start positions, a little moved."""
+    assert made.box_mesh is not None
+    moved = made.box_mesh.vertices + 1e-3 * (1 + made.box_mesh.vertices[:, :1])
+    return replace(made, drape=Drape(moved, outcome, 100, 1, 2, 1.0, 1.1))
+
+
+def flip(path: Path, text: bytes, after: int) -> None:
+    """Change a bit of a file, so many bytes after the first occurrence of a text."""
+    content = bytearray(path.read_bytes())
+    content[content.index(text) + after] ^= 1
+    path.write_bytes(content)

@@ -25,7 +25,7 @@ from gcd_dataset.generator.body.motion import Gait
 from gcd_dataset.generator.body.sizes import read_chart
 from gcd_dataset.generator.drape.holds import fell
 from gcd_dataset.generator.fitting import Fitting, write_fitting
-from gcd_dataset.generator.garments import design_from_dict, draw_garment, read_design
+from gcd_dataset.generator.garments import draw_garment, read_design
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig
@@ -59,6 +59,10 @@ def one_line(text: str) -> str:
     lines = text.strip().splitlines()
     assert len(lines) == 1, text
     return lines[0]
+
+
+def run(*words: object) -> int:
+    return main([str(word) for word in words])
 
 
 def exit_code(arguments: list[str]) -> int:
@@ -236,17 +240,11 @@ def test_fit_draws_a_design_for_a_body_and_drapes_it(tmp_path: Path, capsys: pyt
         assert (out / f"mini{ending}").stat().st_size > 1000
 
 
-def test_drape_moves_the_body_to_a_pose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The report has the pose; wrong poses are refused before a folder is made, one that cuts the body is named."""
-    spec, out, bent = tmp_path / "skirt.json", tmp_path / "out", tmp_path / "bent.json"
-    design = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.2}})
-    write_pattern(draw_garment(named_body("neutral")[1], design), spec)
+def test_drape_moves_the_body_to_a_pose(spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The report has the pose; one that cuts the body is named."""
+    out, bent = tmp_path / "out", tmp_path / "bent.json"
     bent.write_text('{"upper_arm": [0, -48, 0], "left_thigh": [20, 5, 0]}')
     options = ["drape", str(spec), "--out", str(out), "--resolution", "8", "--device", "cpu", "--quiet"]
-    for wrong, told in ((["lotus"], "no pose named lotus"), ([str(bent), "--outfit"], "--outfit")):
-        assert main([*options, "--pose", *wrong]) != 0
-        assert told in one_line(capsys.readouterr().err)
-        assert not out.exists()
     assert main([*options, "--pose", str(bent), "--maps", "--allow-unsettled"]) == 0
     assert "in this pose the body cuts itself" in capsys.readouterr().err
     [maps] = out.glob("*_maps.npz")
@@ -257,25 +255,11 @@ def test_drape_moves_the_body_to_a_pose(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_drape_moves_the_body_through_a_motion(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Frames, their crossings and a picture; a garment that falls in frame 4 keeps three, and exits with 1."""
-    spec, out, bvh = tmp_path / "skirt.json", tmp_path / "out", tmp_path / "walk.bvh"
-    design = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.2}})
-    write_pattern(draw_garment(named_body("neutral")[1], design), spec)
-    bvh.write_text("HIERARCHY")
+    out = tmp_path / "out"
     options = ["drape", str(spec), "--out", str(out), "--resolution", "8", "--device", "cpu", "--quiet"]
-    for wrong, told in (
-        (["--motion", "lotus"], "no motion named lotus: there are walk"),
-        (["--motion", str(bvh)], "walk.bvh: no HIERARCHY and MOTION"),
-        (["--motion", "walk", "--fps", "0.5"], "0.5 poses a second"),
-        (["--motion", "walk", "--pose", "t-pose"], "leave --pose out"),
-        (["--motion", "walk", "--maps"], "leave out --motion"),
-        (["--fps", "25"], "give --motion"),
-    ):
-        assert main([*options, *wrong]) != 0
-        assert told in one_line(capsys.readouterr().err)
-        assert not out.exists()
     monkeypatch.setattr("gcd_dataset.generator.body.motion.GAITS", {"walk": Gait(cadence=900.0)})
     calls = iter(range(99))  # the first two: at rest in the A-pose, and in the first frame
     falls = lambda *given: "it lies at 2 cm" if next(calls) == 4 else fell(*given)  # noqa: E731
@@ -283,10 +267,10 @@ def test_drape_moves_the_body_through_a_motion(
     assert main([*options, "--motion", "walk"]) == 1
     assert "FELL" in (said := capsys.readouterr().out) and "frame 4 of 9: it lies at 2 cm" in said
     [row] = json.loads((out / "report.json").read_text())["garments"]
-    motion = decode_motion((out / "skirt.motion.z").read_bytes())
+    motion = decode_motion((out / "garment.motion.z").read_bytes())
     assert len(row["motion"]["body_through"]) == len(motion.vertices) == 3
     assert motion.crossings[:, 1].tolist() == row["motion"]["body_crossings"]
-    assert np.asarray(Image.open(out / "skirt_motion.png")).shape[:2] == (600, 900)
+    assert np.asarray(Image.open(out / "garment_motion.png")).shape[:2] == (600, 900)
 
 
 def test_drape_cuts_a_design_for_a_size_and_tells_how_it_fits(
@@ -310,8 +294,6 @@ def test_drape_cuts_a_design_for_a_size_and_tells_how_it_fits(
     assert tight["outcome"] == "CANNOT_BE_PUT_ON"
     assert tight["fit"]["labels"][0]["figures"]["ring_cm"] == pytest.approx(read_chart("women").body("76").waist)
     assert "on this body, too_tight: a top edge of 62.0 cm" in said.err
-    assert main(["drape", str(skirt), "--sizes", "men", *options, "--out", str(tmp_path / "out")]) == 2
-    assert "--sizes needs the size to cut: give --cut-for SIZE" in one_line(capsys.readouterr().err)
 
 
 def test_a_garment_that_slides_off_ends_with_1(
@@ -369,19 +351,7 @@ def test_a_file_that_cannot_be_draped_costs_no_other(draped: Draped, tmp_path: P
     assert [row["outcome"] for row in json.loads((tmp_path / "report.json").read_text())["garments"]] == ["REFUSED"]
 
 
-def test_an_unusable_body_is_reported_before_any_drape(
-    spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = ["--out", str(tmp_path / "out")]
-    body = tmp_path / "body.obj"
-    body.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    assert main(["drape", str(spec), *out, "--body", str(body)]) == 1
-    assert "body.obj" in one_line(capsys.readouterr().err)
-    assert main(["drape", str(spec), *out, "--height", "170"]) == 1
-    assert "neutral: a named body has known parts and height" in one_line(capsys.readouterr().err)
-
-
-def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path) -> None:
     assert main(["generate", str(tmp_path / "data"), "--count", "1", *FLAT]) == 0
     for what in (spec, tmp_path / "data"):
         picture = tmp_path / "picture.png"
@@ -393,11 +363,6 @@ def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: p
     assert main(["show", str(spec), "--body", "male", "--html", str(tmp_path / "male.html")]) == 0
     assert main(["show", str(spec), "--html", str(page)]) == 0
     assert page.read_bytes() != (tmp_path / "male.html").read_bytes()
-    capsys.readouterr()
-    assert main(["show", str(tmp_path / "data"), "--index", "5", "--png", str(tmp_path / "x.png")]) == 1
-    assert "garment 5 of 1" in one_line(capsys.readouterr().err)
-    assert main(["show", str(spec), "--png", str(tmp_path / "picture.jpg")]) == 2
-    assert "end the name in .png" in one_line(capsys.readouterr().err)
 
 
 def test_a_config_narrows_designs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

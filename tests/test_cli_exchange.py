@@ -8,7 +8,6 @@ import json
 import os
 import shutil
 import signal
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +15,19 @@ import pytest
 import torch
 
 from gcd_dataset import Progress, convert
-from gcd_dataset.cli import main
 from gcd_dataset.exports.published import export_published, exported_splits, garment_type
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Drape, Outcome, Sample
+from gcd_dataset.records import Outcome
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.hdf5 import write_hdf5
+from tests.helpers import as_draped, parts
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
 from tests.shards.folders import contents, fill, open_writer
+from tests.test_cli import run
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +52,6 @@ def exported(converted: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("exported")
     assert run("export", converted, "--layout", "published", out, "--quiet") == 0
     return out
-
-
-def run(*words: object) -> int:
-    return main([str(word) for word in words])
 
 
 def test_converted_shards_equal_the_published_files(published: Path, converted: Path) -> None:
@@ -86,20 +82,14 @@ def test_a_stopped_conversion_goes_on_to_the_same_bytes(published: Path, convert
     assert contents(tmp_path / "pieces") == contents(converted)
 
 
-def test_a_conversion_of_more_garments_needs_another_folder(
+def test_a_conversion_of_more_garments_or_of_other_bodies_needs_another_folder(
     published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("convert", published, tmp_path / "out", "--quiet", "--bodies", "random") == 0
     assert [item["meta"]["index"] for item in GarmentDataset(tmp_path / "out", fields="meta")] == [1, 3]
     assert run("convert", published, tmp_path / "out", "--quiet") == 2
     assert "asked for 6: choose another folder" in capsys.readouterr().err
-
-
-def test_as_many_garments_on_other_bodies_are_another_data_set(
-    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("convert", published, tmp_path, "--quiet", "--bodies", "random") == 0
-    assert run("convert", published, tmp_path, "--quiet", "--bodies", "default") == 2
+    assert run("convert", published, tmp_path / "out", "--quiet", "--bodies", "default") == 2
     assert "not a shard of this data set" in capsys.readouterr().err
 
 
@@ -139,19 +129,11 @@ def test_shards_to_the_published_layout_and_back(published: Path, exported: Path
         assert (item["uv"] - other["uv"]).abs().max() < 2e-3  # cm: rounded in the shards, and by the published layout
 
 
-def generated(index: int, outcome: Outcome) -> Sample:
-    """A generated garment whose drape is faked: the vertices are the start positions."""
-    made = make(3, index, MakeConfig(bodies="both", stage="mesh", resolution=8.0, points=16))
-    assert made.box_mesh is not None
-    moved = made.box_mesh.vertices + 1e-3 * (1 + made.box_mesh.vertices[:, :1])
-    return replace(made, drape=Drape(moved, outcome, 100, 1, 2, 1.0, 1.1))
-
-
 @pytest.mark.long
 def test_generated_garments_are_published_under_names_of_their_own(tmp_path: Path) -> None:
     config = MakeConfig(bodies="both", stage="mesh", resolution=8.0, points=16)
     outcomes = (Outcome.SETTLED, Outcome.SETTLED, Outcome.THROUGH_BODY, Outcome.SETTLED)
-    samples = [generated(index, outcome) for index, outcome in enumerate(outcomes)]
+    samples = [as_draped(make(3, index, config), outcome) for index, outcome in enumerate(outcomes)]
     with ShardWriter(tmp_path / "shards", seed=3, recipe=recipe_of(config)) as writer:
         for sample in samples:
             writer.write(sample)
@@ -162,14 +144,14 @@ def test_generated_garments_are_published_under_names_of_their_own(tmp_path: Pat
     assert places[0][2] == places[1][2] != places[2][2]  # one design on two bodies
     assert [place[1] for place in places] == [BODIES[0], BODIES[1], BODIES[1]]
     for item, sample in zip(published, (samples[0], samples[1], samples[3]), strict=True):
-        assert sample.box_mesh is not None
-        assert torch.equal(item["faces"], torch.tensor(sample.box_mesh.faces))
-        assert sorted(item["seams"].tolist()) == sorted(sample.box_mesh.seams.tolist())
+        mesh, _ = parts(sample)
+        assert torch.equal(item["faces"], torch.tensor(mesh.faces))
+        assert sorted(item["seams"].tolist()) == sorted(mesh.seams.tolist())
         taken = sample.measurements.to_file_values()
         assert {name: item["measures"][name] for name in taken} == pytest.approx(taken, rel=1e-9)
-        assert item["meta"]["panel_names"] == list(sample.box_mesh.panel_names)
+        assert item["meta"]["panel_names"] == list(mesh.panel_names)
         flat = item["uv"][item["corners"]]
-        assert torch.allclose(flat, torch.tensor(sample.box_mesh.uv[sample.box_mesh.corners]).float(), atol=1e-3)
+        assert torch.allclose(flat, torch.tensor(mesh.uv[mesh.corners]).float(), atol=1e-3)
         design = item["design"]["meta"]["upper"]
         assert design["v"] == sample.design["meta"]["upper"]
         assert "range" in design
@@ -204,7 +186,7 @@ def test_a_stopped_export_goes_on_to_the_same_bytes(
     assert garments[0].stat().st_mtime_ns == written
     assert tree(tmp_path / "pieces") == tree(exported)
     assert run(*export) == 2  # the export is complete
-    assert "not empty" in capsys.readouterr().err
+    assert "not empty: choose another folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -268,14 +250,6 @@ def test_splits_that_the_published_layout_does_not_know_are_reported(
     (tmp_path / "shards" / "manifest.json").unlink()
     assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "out") == 1
     assert "the published layout has no name for its splits (holdout)" in capsys.readouterr().err
-
-
-def test_a_folder_that_is_not_empty_is_not_mixed_up(
-    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    fill(tmp_path / "shards", range(1))
-    assert run("export", tmp_path / "shards", "--layout", "published", published) == 2
-    assert "not empty: choose another folder" in capsys.readouterr().err
 
 
 def test_one_file_of_hdf5_or_plain_tars(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,11 +23,12 @@ from gcd_dataset.hub.download import download
 from gcd_dataset.hub.remote import Remote
 from gcd_dataset.hub.source import Url
 from gcd_dataset.loaders import GarmentDataset
-from gcd_dataset.records import Drape, Outcome, Sample
+from gcd_dataset.records import Sample
 from gcd_dataset.release.write import release_draft
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.index import index_name
 from gcd_dataset.shards.manifest import read_manifest
+from tests.helpers import as_draped, parts
 from tests.hub import conftest
 from tests.hub.server import Hub, read_folder
 from tests.shards.folders import RECIPE
@@ -84,11 +85,8 @@ def outside(folder: Path, inner: Path) -> dict[str, bytes | None]:
 
 @cache
 def garment() -> Sample:
-    """A generated garment whose drape is faked: the vertices are the start positions."""
-    made = make(3, 0, MakeConfig(stage="mesh", resolution=8.0, points=16))
-    assert made.box_mesh is not None
-    moved = made.box_mesh.vertices + 1e-3 * (1 + made.box_mesh.vertices[:, :1])
-    return replace(made, drape=Drape(moved, Outcome.SETTLED, 100, 0, 0, 1.0, 1.1))
+    """A generated garment whose drape is faked."""
+    return as_draped(make(3, 0, MakeConfig(stage="mesh", resolution=8.0, points=16)))
 
 
 @pytest.fixture(scope="module")
@@ -220,13 +218,11 @@ def test_a_place_in_a_release(victims: Path, name: str) -> None:
 
 def test_file_names_of_gcd_drape_are_safe(victims: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sample, name = garment(), HOSTILE["through parents"]
-    assert sample.box_mesh is not None
-    assert sample.drape is not None
     shown = SimpleNamespace(lend_rgb=lambda: 3 * (np.zeros((8, 8, 3), np.uint8),))
     monkeypatch.setattr(fitting, "garment_scene", lambda *_: None)
     monkeypatch.setattr(fitting, "start_plain", lambda *_, **__: shown)
     monkeypatch.setattr(fitting, "draw_pattern", lambda _: np.zeros((8, 8, 3), np.uint8))
-    made = Fitting(replace(sample.pattern, name=name), None, (), sample.box_mesh, sample.drape, {}, 0.0, 0.0)  # type: ignore[arg-type]
+    made = Fitting(replace(sample.pattern, name=name), None, (), *parts(sample), {}, 0.0, 0.0)  # type: ignore[arg-type]
     write_fitting(made, victims / "out")
     files = [path for path in (victims / "out").iterdir() if path.is_file()]
     assert len(files) == len(list((victims / "out").rglob("*"))) == 7  # OBJ, MTL, PLY, four pictures

@@ -86,7 +86,7 @@ def test_a_panel_is_found_by_name() -> None:
 
 
 def test_every_outcome_has_its_own_message() -> None:
-    assert len({outcome.value for outcome in Outcome}) == len(Outcome)
+    assert len(Outcome.__members__) == len(Outcome)  # of two with one message the second would be an alias
 
 
 def test_measures_that_are_missing_in_both_are_equal() -> None:
@@ -162,10 +162,6 @@ def test_impossible_curves_are_rejected() -> None:
         to_frame((1, 1), (1, 1), (2, 2))
 
 
-def test_the_same_key_gives_the_same_numbers() -> None:
-    assert np.array_equal(rng(7, 12, Stage.DESIGN, 1).random(5), rng(7, 12, Stage.DESIGN, 1).random(5))
-
-
 def test_every_key_has_its_own_stream() -> None:
     names = list(itertools.product((0, 1), (0, 1), (Stage.BODY, Stage.DESIGN), (0, 1)))
     first = {rng(seed, index, stage, attempt).integers(2**63) for seed, index, stage, attempt in names}
@@ -175,6 +171,7 @@ def test_every_key_has_its_own_stream() -> None:
 def test_the_numbers_of_a_release_stay() -> None:
     """A change here would change every sample of every published seed."""
     assert rng(0, 0, Stage.BODY).integers(1000, size=3).tolist() == [199, 964, 836]
+    assert rng(7, 12, Stage.DESIGN, 1).integers(1000, size=3).tolist() == [491, 768, 710]
 
 
 def test_neighbours_are_uncorrelated() -> None:

@@ -30,9 +30,9 @@ from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import garments_layout
 from gcd_dataset.shards.tar import END, tar_entry
+from tests.helpers import flip, parts
 from tests.release import published
 from tests.shards.folders import fake_outfit
-from tests.shards.people import fill
 from tests.shards.test_codec import with_maps
 from tests.shards.test_integrity import resealed, shard_of
 
@@ -78,16 +78,9 @@ def test_a_good_data_set_has_no_finding(tmp_path: Path) -> None:
     assert report.splits[0].shares["outcome"] == {"SETTLED": TRAIN}
 
 
-def test_a_set_of_bodies_has_no_finding(tmp_path: Path) -> None:
-    fill(tmp_path, range(6))
-    assert main(["check", "--strict", "--quiet", str(tmp_path)]) == 0
-
-
-def test_bytes_of_a_url_of_this_machine_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bytes_of_a_url_of_this_machine_are_checked(tmp_path: Path) -> None:
     folder = written(tmp_path / "set", good())
     assert main(["check", "--bytes", "--quiet", f"file://{folder}"]) == 0
-    assert main(["check", "--bytes", "--quiet", str(tmp_path / "nowhere")]) == 1
-    assert "no such folder" in capsys.readouterr().err
 
 
 def test_a_broken_specification_stands_in_the_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -97,37 +90,31 @@ def test_a_broken_specification_stands_in_the_json(tmp_path: Path, capsys: pytes
 
 
 def with_mesh(sample: Sample, **arrays: Any) -> Sample:
-    assert sample.box_mesh is not None
-    return replace(sample, box_mesh=replace(sample.box_mesh, **arrays))
+    return replace(sample, box_mesh=replace(parts(sample)[0], **arrays))
 
 
 def with_drape(sample: Sample, **values: Any) -> Sample:
-    assert sample.drape is not None
-    return replace(sample, drape=replace(sample.drape, **values))
+    return replace(sample, drape=replace(parts(sample)[1], **values))
 
 
 def moved(sample: Sample, change: Callable[[np.ndarray], np.ndarray]) -> Sample:
     """The garment with its vertices changed, before sewing and at rest."""
-    assert sample.box_mesh is not None and sample.drape is not None
-    there = with_mesh(sample, vertices=change(sample.box_mesh.vertices))
-    return with_drape(there, vertices=change(sample.drape.vertices))
+    mesh, drape = parts(sample)
+    return with_drape(with_mesh(sample, vertices=change(mesh.vertices)), vertices=change(drape.vertices))
 
 
 def not_a_number(sample: Sample) -> Sample:
-    assert sample.drape is not None
-    vertices = np.array(sample.drape.vertices)
+    vertices = np.array(parts(sample)[1].vertices)
     vertices[3, 1] = np.nan
     return with_drape(sample, vertices=vertices)
 
 
 def in_metres(sample: Sample) -> Sample:
-    assert sample.box_mesh is not None
-    return with_mesh(moved(sample, lambda at: at / 100), uv=sample.box_mesh.uv / 100)
+    return uv_in_metres(moved(sample, lambda at: at / 100))
 
 
 def uv_in_metres(sample: Sample) -> Sample:
-    assert sample.box_mesh is not None
-    return with_mesh(sample, uv=sample.box_mesh.uv / 100)
+    return with_mesh(sample, uv=parts(sample)[0].uv / 100)
 
 
 def measured_in_metres(sample: Sample) -> Sample:
@@ -159,27 +146,24 @@ def turned_round(sample: Sample) -> Sample:
 
 
 def inside_out(sample: Sample) -> Sample:
-    assert sample.box_mesh is not None
-    mesh = sample.box_mesh
+    mesh, _ = parts(sample)
     return with_mesh(sample, faces=mesh.faces[:, ::-1], corners=mesh.corners[:, ::-1])
 
 
 def partly_inside_out(sample: Sample) -> Sample:
-    assert sample.box_mesh is not None
-    faces, corners = np.array(sample.box_mesh.faces), np.array(sample.box_mesh.corners)
+    faces, corners = (np.array(rows) for rows in (parts(sample)[0].faces, parts(sample)[0].corners))
     faces[::5], corners[::5] = faces[::5, ::-1], corners[::5, ::-1]
     return with_mesh(sample, faces=faces, corners=corners)
 
 
 def mirrored(sample: Sample) -> Sample:
-    assert sample.box_mesh is not None
-    return with_mesh(sample, uv=sample.box_mesh.uv * [-1.0, 1.0])
+    return with_mesh(sample, uv=parts(sample)[0].uv * [-1.0, 1.0])
 
 
 def unsewn(sample: Sample) -> Sample:
     """Each panel has vertices of its own along the seams."""
-    assert sample.box_mesh is not None and sample.drape is not None
-    mesh, vertex = sample.box_mesh, sample.box_mesh.uv_vertex
+    mesh, drape = parts(sample)
+    vertex = mesh.uv_vertex
     seam_of = dict(mesh.seams.tolist())
     seams = np.array([(row, seam_of[at]) for row, at in enumerate(vertex.tolist()) if at in seam_of])
     labels = {name: np.flatnonzero(np.isin(vertex, ids)) for name, ids in mesh.labels.items()}
@@ -191,7 +175,7 @@ def unsewn(sample: Sample) -> Sample:
         seams=seams[np.argsort(seams[:, 1], kind="stable")],
         labels=labels,
     )
-    return with_drape(apart, vertices=sample.drape.vertices[vertex])
+    return with_drape(apart, vertices=drape.vertices[vertex])
 
 
 def with_pattern(sample: Sample, change: Callable[[Pattern], Pattern]) -> Sample:
@@ -223,8 +207,7 @@ def reversed_loop(sample: Sample) -> Sample:
 
 
 def missing_seam(sample: Sample) -> Sample:
-    assert sample.box_mesh is not None
-    seams = np.array(sample.box_mesh.seams)
+    seams = np.array(parts(sample)[0].seams)
     seams[:, 1] += 5
     return with_mesh(sample, seams=seams)
 
@@ -394,10 +377,7 @@ def shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_damaged_garment_is_named_and_the_others_are_examined(shards: Path) -> None:
-    path = shards / "train-00000.tar"
-    content = bytearray(path.read_bytes())
-    content[content.index(b"gcd_000000002.verts.z\0") + 600] ^= 1
-    path.write_bytes(content)
+    flip(shards / "train-00000.tar", b"gcd_000000002.verts.z\0", 600)
     report = examine(shards)
     assert names(report) == {"unreadable"}
     found = report.finding("unreadable")
@@ -434,12 +414,6 @@ def test_maps_of_another_garment_are_named(row: int, tmp_path: Path, capsys: pyt
     index(Place(folder))
     assert main(["check", "--bytes", "--quiet", str(folder)]) == 1
     assert f"sample gcd_{row:09d}, member maps.z: stretch has " in capsys.readouterr().out
-
-
-def test_a_split_that_cannot_be_opened_is_a_finding(shards: Path) -> None:
-    path = shards / "train-00001.tar"
-    path.write_bytes(path.read_bytes()[:5000])
-    assert "unreadable" in names(examine(shards))
 
 
 def test_files_that_do_not_match_the_index_are_listed(shards: Path) -> None:
@@ -622,11 +596,6 @@ def test_warnings_fail_a_strict_check_alone(
     assert capsys.readouterr().out.count("(leaked-pattern)") == 2
     assert main(["check", str(tmp_path), "--quiet", "--errors"]) == 0
     assert "(leaked-pattern)" not in capsys.readouterr().out
-
-
-def test_the_verb_exits_0_for_a_good_data_set(shards: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", str(shards), "--quiet"]) == 0
-    assert capsys.readouterr().out.endswith("nothing harmful found\n")
 
 
 def test_every_check_says_what_it_does_to_a_training_and_the_remedy() -> None:

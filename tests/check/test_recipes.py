@@ -15,6 +15,7 @@ from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards import read_manifest
 from gcd_dataset.shards.manifest import RecipeRecord
 from tests.generator.test_recipes import TINY, written
+from tests.helpers import flip
 from tests.making import conftest
 
 made, recipe, toml = conftest.made, conftest.recipe, conftest.toml
@@ -129,10 +130,7 @@ def test_samples_in_the_wrong_split_are_reported(made: Path, recipe: Recipe, tmp
 
 
 def test_a_damaged_pattern_is_reported(copy: Path, recipe: Recipe) -> None:
-    shard = copy / "test-00000.tar"
-    content = bytearray(shard.read_bytes())
-    content[content.index(b".pattern.z\0") + 600] ^= 1
-    shard.write_bytes(content)
+    flip(copy / "test-00000.tar", b".pattern.z\0", 600)
     (message,) = recipe_faults(copy, recipe)
     assert "test-00000.tar" in message
     assert "pattern.z" in message
@@ -150,16 +148,6 @@ def test_the_command_line_makes_describes_and_verifies(
     assert ": this is tiny\n" in capsys.readouterr().out
     assert main(["check", folder, "--recipe", "smoke-64"]) == 1
     assert "names recipe tiny" in capsys.readouterr().out
-
-
-def test_options_that_a_recipe_gives_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = str(tmp_path / "a")
-    for given in ("--count 5", "--seed 0", "--resolution 2", "--stage body"):
-        assert main(["generate", out, "--recipe", "smoke-64", *given.split()]) == 2
-        assert f"{given.split()[0]} is fixed by the recipe: leave it out" in capsys.readouterr().err
-    assert main(["generate", out]) == 2
-    assert "Give --count N, or --recipe NAME" in capsys.readouterr().err
-    assert not (tmp_path / "a").exists()
 
 
 def test_recipes_are_listed_and_described(capsys: pytest.CaptureFixture[str]) -> None:

@@ -33,33 +33,10 @@ def lined() -> Pattern:
 
 
 NAMES = (
-    *(
-        "Cós esquerdo",
-        "cos esquerdo",
-        "x" * 40,
-        "x" * 41,
-        "前片",
-        "后片",
-        "перед",
-        "спинка",
-        "앞판",
-        "الأمام",
-        "👗",
-        "👚",
-    ),
-    *(
-        "front left",
-        "front_left",
-        "front\u3000left",
-        "نیم\u200cتنه",
-        "👩\u200d🦰",
-        "body",
-        "Body",
-        "world",
-        "1a",
-        "a#b",
-        "a/b",
-    ),
+    *("Cós esquerdo", "cos esquerdo", "x" * 40, "x" * 41),
+    *("前片", "后片", "перед", "спинка", "앞판", "الأمام", "👗", "👚"),
+    *("front left", "front_left", "front\u3000left", "نیم\u200cتنه", "👩\u200d🦰"),
+    *("body", "Body", "world", "1a", "a#b", "a/b"),
 )
 """Names in many scripts; some differ only in letters that a format cannot hold."""
 

@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ import pytest
 import trimesh
 from pypdf import PdfReader
 
-from gcd_dataset.cli import main
 from gcd_dataset.generator import fitting
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
@@ -20,18 +18,15 @@ from gcd_dataset.spec import read_pattern, write_pattern
 from tests.exports.dxf_reader import read_dxf
 from tests.exports.patterns import squares
 from tests.loaders.draping import SKIRTS
+from tests.test_cli import run
 
 
 @pytest.fixture(scope="module")
 def shards(worn: Sample, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set of two samples, the second without a drape."""
+    """A data set of one sample."""
     folder = tmp_path_factory.mktemp("shards")
-    recipe = recipe_of(MakeConfig())
-    with ShardWriter(folder, seed=3, recipe=recipe) as writer:
+    with ShardWriter(folder, seed=3, recipe=recipe_of(MakeConfig())) as writer:
         writer.write(worn)
-        provenance = replace(worn.provenance, index=1, recipe=recipe)
-        second = replace(worn, key="gcd_000000001", provenance=provenance)
-        writer.write(replace(second, drape=None, box_mesh=None))
     return folder
 
 
@@ -41,10 +36,6 @@ def spec(tmp_path: Path) -> Path:
     return tmp_path / "squares_specification.json"
 
 
-def run(*words: object) -> int:
-    return main([str(word) for word in words])
-
-
 @pytest.mark.parametrize("form", ["glb", "obj", "ply", "usd", "dxf", "pdf"])
 def test_a_sample_in_each_format(form: str, shards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("export", shards, f"--{form}", tmp_path / f"a.{form}") == 0
@@ -52,7 +43,11 @@ def test_a_sample_in_each_format(form: str, shards: Path, tmp_path: Path, capsys
     assert (tmp_path / f"a.{form}").stat().st_size > 1000
 
 
-def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_path: Path) -> None:
+def test_options_reach_the_files(shards: Path, spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("export", shards, "--glb", tmp_path / "a.glb", "--tile", "0") == 2
+    said = capsys.readouterr().err
+    assert "a texture tile of 0 cm: give one from 0.01 to 10000 cm" in said and said.count("\n") == 1
+    assert not list(tmp_path.glob("*.glb"))
     assert run("export", shards, "--glb", tmp_path / "a.glb", "--tile", "4", "--no-body") == 0
     scene = trimesh.load(tmp_path / "a.glb")
     assert scene.metadata["gcd"]["tile_cm"] == 4.0
@@ -62,42 +57,6 @@ def test_options_reach_the_files(shards: Path, worn: Sample, spec: Path, tmp_pat
     assert run("export", spec, "--dxf", tmp_path / "a.dxf", "--seam-allowance", "0.5") == 0
     [cut] = read_dxf(tmp_path / "a.dxf")["one"].of("1", "POLYLINE")
     assert {abs(x) for point in cut.vertices for x in point} == {5.0, 405.0}  # mm
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "message"),
-    [
-        (["SHARDS", "--index", "2", "--pdf", "a.pdf"], 1, "garment 2 of 2: give one from 0 to 1"),
-        (["SHARDS", "--glb", "a.glb", "--pdf", "a.pdf"], 2, "--glb, --obj, --ply, --usd, --dxf, --pdf: one of them"),
-        (["SHARDS", "--glb", "a.glb", "--tile", "0"], 2, "a texture tile of 0 cm: give one from 0.01 to 10000 cm"),
-        (
-            ["SHARDS", "--hdf5", "a.h5", "--index", "1"],
-            2,
-            "--index is for --glb, --obj, --ply, --usd, --dxf, --pdf: leave",
-        ),
-        (["SHARDS", "--ply", "a.ply", "--no-body"], 2, "--no-body is for --glb, --obj, --usd: leave it out"),
-        (["SPEC", "--pdf", "no/such/a.pdf"], 1, "no/such/a.pdf: cannot be written"),
-        (["SPEC", "SPEC", "--glb", "a.glb"], 2, "--glb a.glb: 2 files are exported: give a folder"),
-        (["SPEC", "--pdf", "a.pdf", "--index", "0"], 2, "--index is for a data set, and"),
-    ],
-)
-def test_errors_are_one_line_with_a_remedy(
-    words: list[str],
-    code: int,
-    message: str,
-    shards: Path,
-    spec: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    known = {"SHARDS": str(shards), "SPEC": str(spec)}
-    assert run("export", *(known.get(word, word) for word in words)) == code
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-    assert [path.name for path in tmp_path.iterdir()] == [spec.name]
 
 
 def test_a_bad_file_costs_no_other_and_two_of_one_name_are_told_apart(

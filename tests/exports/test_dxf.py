@@ -12,7 +12,7 @@ import pytest
 import shapely
 
 from gcd_dataset.errors import ConfigError, ExtraMissing
-from gcd_dataset.exports import dxf
+from gcd_dataset.exports import dxf, pdf
 from gcd_dataset.records import Pattern, Sample
 from tests.exports.dxf_reader import Block, layers_of, read_dxf
 from tests.exports.patterns import NAMES, SIDE, darted, exact_area, lined, named, square, squares
@@ -153,9 +153,11 @@ def decoded(text: str) -> str:
 
 
 def test_equal_patterns_give_equal_bytes(tmp_path: Path) -> None:
-    for name in ("a.dxf", "b.dxf"):
-        dxf(squares(), tmp_path / name)
-    assert (tmp_path / "a.dxf").read_bytes() == (tmp_path / "b.dxf").read_bytes()
+    for write, ending in ((dxf, "dxf"), (pdf, "pdf")):
+        files = [tmp_path / f"{name}.{ending}" for name in "ab"]
+        for file in files:
+            write(squares(), file)
+        assert files[0].read_bytes() == files[1].read_bytes()
 
 
 def test_small_pieces_keep_their_texts_small(tmp_path: Path) -> None:

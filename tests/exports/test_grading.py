@@ -14,7 +14,6 @@ import shapely
 from pypdf import PdfReader
 from pypdf.generic import ContentStream
 
-from gcd_dataset.cli import main
 from gcd_dataset.errors import BodyError, ConfigError
 from gcd_dataset.exports import dxf, pdf
 from gcd_dataset.generator import build_pattern, grade, read_chart
@@ -25,6 +24,7 @@ from gcd_dataset.spec import write_pattern
 from tests.exports.dxf_reader import read_dxf
 from tests.exports.patterns import exact_area, squares
 from tests.generator.garments.measured import lengths
+from tests.test_cli import run
 
 SHIRT = {"meta": {"upper": "FittedShirt", "bottom": None}}
 TROUSERS = {"meta": {"upper": None, "wb": "StraightWB", "bottom": "Pants"}, "waistband": {"waist": 1.3, "width": 0.2}}
@@ -167,10 +167,6 @@ def test_a_nest_has_a_size(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------------------------------------------- gcd grade
 
 
-def run(*words: object) -> int:
-    return main([str(word) for word in words])
-
-
 def design_file(folder: Path, design: Mapping[str, Any]) -> Path:
     (folder / "trousers_design_params.yaml").write_text(json.dumps({"design": design}))
     return folder / "trousers_design_params.yaml"
@@ -210,9 +206,3 @@ def test_a_specification_without_its_design_is_refused(tmp_path: Path, capsys: p
     spec.write_text(json.dumps({**tree, "design": TROUSERS}))
     assert run("grade", spec, "--chart", "women", "--out", again) == 1  # nine sizes are rejected
     assert capsys.readouterr().out.startswith(f"{again}: 3 of 12 sizes")
-
-
-def test_wrong_usage_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    design = design_file(tmp_path, {**TROUSERS, "waistband": {"waist": 1.0}})
-    assert run("grade", design, "--chart", "woman", "--out", tmp_path / "out") == 2
-    assert capsys.readouterr().err.startswith("gcd grade: no chart woman: there are women, men")

@@ -19,9 +19,10 @@ from gcd_dataset.exports.meshes import seam_vertices, smooth_normals, texture_co
 from gcd_dataset.generator.body import build_body, named_shape
 from gcd_dataset.generator.fitting import Fitting
 from gcd_dataset.outfits import apart
-from gcd_dataset.records import BoxMesh, Drape, GarmentMotion, Outcome, Pattern, Pose, Sample
+from gcd_dataset.records import Drape, GarmentMotion, Outcome, Pattern, Pose, Sample
+from tests import helpers
 from tests.exports.patterns import NAMES
-from tests.helpers import patch, tube
+from tests.helpers import parts, patch, tube
 from tests.shards.folders import fake_outfit
 from tools.blender_import import read_facts
 
@@ -31,12 +32,6 @@ WRITERS: dict[str, Callable[..., None]] = {
     "ply": exports.ply,
     "usd": exports.usd,
 }
-
-
-def parts(sample: Sample) -> tuple[BoxMesh, Drape]:
-    assert sample.box_mesh is not None
-    assert sample.drape is not None
-    return sample.box_mesh, sample.drape
 
 
 def test_a_glb_has_a_node_and_a_material_for_each_panel(worn: Sample, tmp_path: Path) -> None:
@@ -86,17 +81,7 @@ def renamed(sample: Sample) -> tuple[Sample, list[str]]:
     """The sample with names in many scripts for its panels, and these names."""
     mesh, _ = parts(sample)
     names = [*NAMES[:2], *NAMES[4:7], *NAMES[10:14], *NAMES[15:]][: len(mesh.panel_names)]
-    new = dict(zip(mesh.panel_names, names, strict=True))
-    panels = tuple(replace(panel, name=new[panel.name]) for panel in sample.pattern.panels)
-    seams = tuple(
-        replace(
-            seam,
-            left=replace(seam.left, panel=new[seam.left.panel]),
-            right=replace(seam.right, panel=new[seam.right.panel]),
-        )
-        for seam in sample.pattern.seams
-    )
-    pattern = replace(sample.pattern, panels=panels, seams=seams)
+    pattern = helpers.renamed(sample.pattern, dict(zip(mesh.panel_names, names, strict=True)))
     return replace(sample, pattern=pattern, box_mesh=replace(mesh, panel_names=tuple(names))), names
 
 

@@ -250,12 +250,6 @@ def test_bezier_pieces_follow_the_curve(curve: Curve) -> None:
     assert pieces[-1][2] == end
 
 
-def test_equal_patterns_give_equal_bytes(tmp_path: Path) -> None:
-    for name in ("a.pdf", "b.pdf"):
-        pdf(squares(), tmp_path / name)
-    assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
-
-
 def test_errors_name_the_remedy(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"end its name in \.pdf"):
         pdf(squares(), tmp_path / "a.dxf")

@@ -19,6 +19,7 @@ from benchmarks.reconstruction.train import train
 from gcd_dataset.loaders import GeneratedGarments
 from gcd_dataset.metrics import mean_scores, score_pattern
 from tests.benchmarks.reconstruction.conftest import SKIRTS
+from tests.benchmarks.reconstruction.toys import small
 
 CPU = torch.device("cpu")
 COUNT = 4
@@ -27,6 +28,16 @@ COUNT = 4
 @cache
 def garments_of(count: int) -> GarmentSet:
     return generated(count, 0, points=1024, extra=NAMED, drape=None, resolution=4.0, design=SKIRTS)
+
+
+def by_heart(model: str, garments: GarmentSet, **config: Any) -> tuple[list[Any], list[dict[str, float]]]:
+    """The answers of a model to the garments that it was trained on, and the curve of this training."""
+    torch.manual_seed(0)
+    torch.set_num_threads(1)
+    learner, count = small(model), len(garments)
+    examples = learner.prepare(garments, device=CPU)
+    trained = train(learner, examples, Config(**{**load_model(model).SMOKE, "batch": count, **config}), device=CPU)
+    return trained.learner.predict(examples.batch(torch.arange(count))), trained.curve
 
 
 FAST: dict[str, Any] = {"lr": 3e-3, "weight_decay": 0.0, "ema": 0.9}
@@ -41,14 +52,9 @@ FAST: dict[str, Any] = {"lr": 3e-3, "weight_decay": 0.0, "ema": 0.9}
     ],
 )
 def test_the_patterns_of_a_few_garments(model: str, count: int, config: dict[str, Any], least_iou: float) -> None:
-    torch.manual_seed(0)
-    torch.set_num_threads(1)
-    module, garments = load_model(model), garments_of(count)
-    learner = module.build(module.SMALL)
-    examples = learner.prepare(garments, device=CPU)
-    trained = train(learner, examples, Config(**{**module.SMOKE, "batch": count, **config}), device=CPU)
-    assert trained.curve[-1]["loss"] < trained.curve[0]["loss"] / 4
-    answers = trained.learner.predict(examples.batch(torch.arange(count)))
+    garments = garments_of(count)
+    answers, curve = by_heart(model, garments, **config)
+    assert curve[-1]["loss"] < curve[0]["loss"] / 4
     score = mean_scores([score_pattern(answer, garments.pattern(k)) for k, answer in enumerate(answers)])
     assert (score.valid, score.panel_count_acc, score.stitch_f1) == (1, 1, 1)
     assert score.iou > least_iou

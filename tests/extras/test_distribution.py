@@ -17,16 +17,8 @@ from tools import release
 
 ROOT = Path(__file__).resolve().parents[2]
 UNTRACKED = (
-    ".git",
-    ".venv*",
-    ".*_cache",
-    ".hypothesis",
-    "__pycache__",
-    "*.egg-info",
-    "build",
-    "dist",
-    "demo",
-    "node_modules",
+    *(".git", ".venv*", ".*_cache", ".hypothesis", "__pycache__", "*.egg-info"),
+    *("build", "dist", "demo", "node_modules"),
 )
 BUILD = "import sys; from setuptools import build_meta; print(getattr(build_meta, sys.argv[1])(sys.argv[2]))"
 """Builds without build isolation, which would download setuptools."""
@@ -134,17 +126,8 @@ def clean(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     venv.create(folder, with_pip=False)
     (site,) = folder.glob("lib/python*/site-packages")
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    install = [
-        sys.executable,
-        "-m",
-        "pip",
-        "--python",
-        str(folder / "bin" / "python"),
-        "install",
-        "--no-deps",
-        "--quiet",
-    ]
-    subprocess.run([*install, "--no-index", "--force-reinstall", str(wheel)], check=True)
+    pip = [sys.executable, "-m", "pip", "--python", str(folder / "bin" / "python"), "install", "--quiet"]
+    subprocess.run([*pip, "--no-deps", "--no-index", "--force-reinstall", str(wheel)], check=True)
     return folder / "bin"
 
 

@@ -19,7 +19,7 @@ from gcd_dataset.generator.garments.sleeve import SleeveDesign
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
 from gcd_dataset.generator.garments.wardrobe import Bottom
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.records import Outcome, Pattern
+from gcd_dataset.records import Outcome
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
 from tests.generator.drape.garments import SIDES, Axis, Worn, neutral, wear
 from tests.generator.drape.test_named_failures import (
@@ -31,6 +31,7 @@ from tests.generator.drape.test_named_failures import (
 )
 from tests.generator.dressing.test_dressing import bared, pattern_of
 from tests.generator.dressing.test_sewing_start import LEVELS
+from tests.helpers import renamed
 
 FOREARM_FROM = 0.45  # share of the way from shoulder to finger tips
 INSTEP = 6.5  # cm
@@ -64,17 +65,8 @@ def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> No
     """``has_legs`` recognises such trousers only after their panels have been placed."""
     lying = bared(pattern_of(examples, "pants_cuff"), placed=False)
     names = {panel.name: f"piece_{number}" for number, panel in enumerate(lying.panels)}
-    panels = tuple(replace(panel, name=names[panel.name]) for panel in lying.panels)
-    seams = tuple(
-        replace(
-            seam,
-            left=replace(seam.left, panel=names[seam.left.panel]),
-            right=replace(seam.right, panel=names[seam.right.panel]),
-        )
-        for seam in lying.seams
-    )
     wearers = {apart: named_body("neutral", legs_apart=apart)[:2] for apart in (False, True)}
-    pattern = Pattern("piece", panels, seams)
+    pattern = replace(renamed(lying, names), name="piece", extra={})
     assert not has_legs(pattern)
     [fitting] = drape_patterns([pattern], wearers.__getitem__, resolution=6.0, device="cpu")
     assert isinstance(fitting, Fitting)

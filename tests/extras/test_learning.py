@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,6 @@ import pytest
 import torch
 from torch._subclasses.fake_tensor import FakeTensorMode
 
-from benchmarks.cases import parity
 from benchmarks.cloth_tests import drape_coefficient
 from benchmarks.reconstruction.derived import FIRST_PANEL
 from benchmarks.reconstruction.garments import GarmentSet, generated, read_folder
@@ -30,6 +28,7 @@ from gcd_dataset.tensors import PANEL_LABELS
 from tests.benchmarks.reconstruction.conftest import SKIRTS
 from tests.benchmarks.reconstruction.test_networks import SIZES, network
 from tests.benchmarks.reconstruction.toys import small
+from tests.benchmarks.test_draping import parity_figures
 from tests.scoring.test_score import figures, save
 
 CPU = torch.device("cpu")
@@ -130,7 +129,6 @@ def test_several_processes_score_alike_and_the_headline_counts_right_drapes_of_a
 
 
 def test_all_patterns_agree_with_the_reference(examples: Path) -> None:
-    measured = parity.run(Namespace(folder=examples / "patterns", only=""))
-    found = {figure.metric: figure.value for figure in measured.figures}
+    found = parity_figures(examples / "patterns")
     assert found["designs"] == 24
     assert found["same"] == found["outline"] == found["placement"] == 1.0

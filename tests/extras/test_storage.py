@@ -58,8 +58,6 @@ def s3_fault(pattern: str, code: str, status: int, times: int = 999) -> Fault:
 @contextlib.contextmanager
 def running_store() -> Iterator[Store]:
     """A store; within the block, environment variables point to it."""
-    import fsspec
-
     with Store() as store, pytest.MonkeyPatch.context() as patch:
         for name, value in {**KEYS, "AWS_ENDPOINT_URL": store.endpoint, "AWS_EC2_METADATA_DISABLED": "true"}.items():
             patch.setenv(name, value)

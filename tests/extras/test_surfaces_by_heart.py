@@ -4,22 +4,17 @@ import csv
 import json
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from benchmarks.reconstruction.garments import GarmentSet, generated
 from benchmarks.reconstruction.judging import judge_of
 from benchmarks.reconstruction.models import load_model
-from benchmarks.reconstruction.options import Config
 from benchmarks.reconstruction.tasks import SURFACES, task_named
-from benchmarks.reconstruction.train import main, train
+from benchmarks.reconstruction.train import main
 from tests.benchmarks.reconstruction.conftest import SKIRTS
-from tests.benchmarks.reconstruction.toys import small
-
-CPU = torch.device("cpu")
+from tests.extras.test_by_heart import by_heart
 
 
 @cache
@@ -27,36 +22,21 @@ def skirts() -> GarmentSet:
     return generated(4, 0, points=64, extra=(*SURFACES, "person"), resolution=8.0, design=SKIRTS)
 
 
-def by_heart(model: str, steps: int, **options: Any) -> tuple[list[Any], list[dict[str, float]]]:
-    """Scores of four garments after a training on them, and the curve."""
-    torch.manual_seed(0)
-    torch.set_num_threads(1)
-    module, garments = load_model(model), skirts()
-    learner = small(model, **options)
-    examples = learner.prepare(garments, device=CPU)
-    config = Config(**{**module.SMOKE, "steps": steps, "batch": 4, "log_every": 1})
-    trained = train(learner, examples, config, device=CPU)
-    answers = trained.learner.predict(examples.batch(torch.arange(len(garments))))
-    return judge_of(task_named(module.TASKS[0]), watching=True).scores(answers, garments), trained.curve
-
-
-def test_the_labels_of_four_meshes() -> None:
-    scores, curve = by_heart("segmentation", 130)
+@pytest.mark.parametrize(
+    ("model", "steps", "limits"),
+    [
+        ("segmentation", 130, {"panel_label": (0.97, 1.01), "panel_class": (0.97, 1.01)}),
+        ("measures", 130, {"error_cm": (0.0, 1.0)}),
+        ("drape_surrogate", 300, {"error_cm": (0.0, 3.0)}),
+    ],
+)
+def test_four_garments_are_learned(model: str, steps: int, limits: dict[str, tuple[float, float]]) -> None:
+    """The labels of four meshes, the measures of four bodies and the drapes of four garments."""
+    answers, curve = by_heart(model, skirts(), steps=steps, log_every=1)
+    scores = judge_of(task_named(load_model(model).TASKS[0]), watching=True).scores(answers, skirts())
     assert curve[-1]["loss"] < curve[0]["loss"] / 5
-    assert np.mean([score.panel_label for score in scores]) > 0.97
-    assert np.mean([score.panel_class for score in scores]) > 0.97
-
-
-def test_the_measures_of_four_bodies() -> None:
-    scores, curve = by_heart("measures", 130)
-    assert curve[-1]["loss"] < curve[0]["loss"] / 5
-    assert np.mean([score.error_cm for score in scores]) < 1.0
-
-
-def test_the_drapes_of_four_garments() -> None:
-    scores, curve = by_heart("drape_surrogate", 300)
-    assert curve[-1]["loss"] < curve[0]["loss"] / 5
-    assert np.mean([score.error_cm for score in scores]) < 3.0
+    for name, (low, high) in limits.items():
+        assert low < np.mean([getattr(score, name) for score in scores]) < high
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """The viewer in headless Chromium: move, filter, jump, hover, and predictions beside truth."""
 
-import argparse
 import os
 import signal
 import subprocess
@@ -16,14 +15,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gcd_dataset.cli.show import _album
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Grade, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.spec import write_pattern
 from gcd_dataset.viewer.garments import ShardAlbum, spec_album
 from gcd_dataset.viewer.server import Gallery
+from tests.helpers import renamed
 from tests.release.published import publish
+from tests.viewer.test_album import album_of
 from tests.viewer.test_server import Running
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make test-extras")
@@ -163,9 +163,7 @@ def test_the_next_garment_is_drawn_before_it_is_asked_for(browser: Any, garments
 
 def test_published_data_opens_by_its_folder(browser: Any, tmp_path: Path) -> None:
     root = publish(tmp_path)
-    options = argparse.Namespace(what=str(root), split="train", truth=None, endpoint=None, index=0, maps=False)
-    vars(options).update(dict.fromkeys(("body", "measurements", "segmentation", "height", "betas")))
-    with opened(browser, Gallery(_album(options))) as page:
+    with opened(browser, Gallery(album_of(root))) as page:
         expect = sync_api.expect
         expect(page.locator("#status")).to_have_text("1 of 4")
         assert frame(page).locator("[data-panel]").count() == 2
@@ -283,20 +281,8 @@ def test_ctrl_c_ends_the_viewer_of_a_server_that_does_not_answer(garments: Path)
 def test_predictions_beside_the_truth_light_up_with_their_matches(browser: Any, tmp_path: Path) -> None:
     """The prediction has the panels in another order, under other names, and lacks the first seam."""
     true = fake_sample(0, 0).pattern
-    names = {panel.name: f"predicted {panel.name}" for panel in true.panels}
-    panels = tuple(replace(panel, name=names[panel.name]) for panel in reversed(true.panels))
-    predicted = replace(
-        true,
-        panels=panels,
-        seams=tuple(
-            replace(
-                seam,
-                left=replace(seam.left, panel=names[seam.left.panel]),
-                right=replace(seam.right, panel=names[seam.right.panel]),
-            )
-            for seam in true.seams[1:]
-        ),
-    )
+    other = renamed(true, {panel.name: f"predicted {panel.name}" for panel in true.panels})
+    predicted = replace(other, panels=other.panels[::-1], seams=other.seams[1:])
     for name, pattern in (("predicted", predicted), ("true", true)):
         (tmp_path / name).mkdir()
         for key in ("a", "b"):

@@ -36,6 +36,7 @@ from gcd_dataset.scoring.garments import (
     score_garment,
     true_files,
 )
+from tests.helpers import renamed
 from tests.test_metrics import SAME, drawn_from_behind, each, garment
 
 
@@ -271,12 +272,8 @@ def test_arranging_keeps_panels_and_seams_without_a_match() -> None:
     corners = np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
     edges = (Edge(0, 1, Cubic((0.3, 0.1), (0.6, 0.1))), Edge(1, 2), Edge(2, 0))
     extra = Panel("front", corners, edges, far)  # named as a true panel
-    ours = Pattern("p", (extra, *(replace(panel, name=f"_{panel.name}") for panel in whole.panels)), ())
-    seams = tuple(
-        Seam(replace(s.left, panel=f"_{s.left.panel}"), replace(s.right, panel=f"_{s.right.panel}"))
-        for s in whole.seams
-    )
-    found = arranged(replace(ours, seams=seams), whole)
+    ours = renamed(whole, {panel.name: f"_{panel.name}" for panel in whole.panels})
+    found = arranged(replace(ours, panels=(extra, *ours.panels)), whole)
     assert [panel.name for panel in found.panels] == ["front", "back", "sleeve", "extra 0"]
     assert found.seams == whole.seams
     assert len(found.panels[-1].edges) == 3

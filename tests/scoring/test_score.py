@@ -16,6 +16,7 @@ from gcd_dataset.spec import spec_from_pattern, write_pattern
 from tests.generator.mesh.shapes import panel
 from tests.test_metrics import SAME, garment
 
+Capture = pytest.CaptureFixture[str]
 POINTS = np.random.default_rng(0).uniform(size=(100, 3))
 
 
@@ -44,9 +45,7 @@ def run(*arguments: object) -> int:
     return main(["score", *map(str, arguments), "--quiet"])
 
 
-def test_copies_are_perfect_however_they_are_written(
-    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_copies_are_perfect_however_they_are_written(tmp_path: Path, truth: Path, capsys: Capture) -> None:
     """Without ``panel_order``, in another order, renamed, started elsewhere and drawn from behind."""
     ours = dict(
         zip("abcd", (SAME[change](garment()) for change in ("copied", "renamed", "shuffled", "all of it")), strict=True)
@@ -63,9 +62,7 @@ def test_copies_are_perfect_however_they_are_written(
     assert printed.err == ""
 
 
-def test_an_answer_with_a_line_from_nowhere_is_not_valid(
-    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_answer_with_a_line_from_nowhere_is_not_valid(tmp_path: Path, truth: Path, capsys: Capture) -> None:
     """Lines are not scored, but they are cut with the panel."""
     first, *others = garment().panels
     lined = replace(garment(), panels=(replace(first, lines=(InnerLine(0, 99),)), *others))
@@ -76,7 +73,7 @@ def test_an_answer_with_a_line_from_nowhere_is_not_valid(
     assert "panel front, line 0: no vertex 0 or 99: correct its ends; not valid" in printed.out
 
 
-def test_every_garment_is_in_the_denominator(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_garment_is_in_the_denominator(tmp_path: Path, truth: Path, capsys: Capture) -> None:
     """One perfect, one unreadable, one without panels, one missing: a quarter."""
     ours = save(tmp_path / "ours", {"a": garment(), "c": Pattern("", (), ()), "z": garment()})
     (ours / "b.json").write_text('{"pattern": {')
@@ -99,9 +96,7 @@ def test_every_garment_is_in_the_denominator(tmp_path: Path, truth: Path, capsys
     assert tree["figures"]["iou"]["low"] <= 0.25 <= tree["figures"]["iou"]["high"]
 
 
-def test_a_prediction_beyond_the_limits_of_size_is_a_failure(
-    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_prediction_beyond_the_limits_of_size_is_a_failure(tmp_path: Path, truth: Path, capsys: Capture) -> None:
     """To match 20,000 edges takes gigabytes."""
     angles, whole = np.linspace(0, 2 * np.pi, MOST_EDGES + 1, endpoint=False), garment()
     disc = panel("disc", [(30 * np.cos(angle), 30 * np.sin(angle)) for angle in angles])
@@ -114,7 +109,7 @@ def test_a_prediction_beyond_the_limits_of_size_is_a_failure(
     assert f"too many panels: {MOST_PANELS + 1}" in printed
 
 
-def test_kinds_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_kinds_apart(tmp_path: Path, capsys: Capture) -> None:
     kinds = {"a": "cape", "b": "cape", "c": "tea gown"}
     patterns = {name: replace(garment(), extra={"properties": {"kind": kind}}) for name, kind in kinds.items()}
     true = save(tmp_path / "true", patterns)
@@ -137,9 +132,7 @@ def test_kinds_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         ),
     ],
 )
-def test_true_patterns_must_be_readable(
-    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str], content: str, place: str
-) -> None:
+def test_true_patterns_must_be_readable(tmp_path: Path, truth: Path, capsys: Capture, content: str, place: str) -> None:
     (truth / "b_specification.json").write_text(content)
     assert run(save(tmp_path / "ours", {"a": garment()}), truth) == 1
     [line] = capsys.readouterr().err.strip().splitlines()[-1:]
@@ -147,9 +140,7 @@ def test_true_patterns_must_be_readable(
     assert "b_specification.json" in line and place in line
 
 
-def test_missing_bodies_and_folders_are_errors_at_once(
-    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_bodies_and_folders_are_errors_at_once(tmp_path: Path, truth: Path, capsys: Capture) -> None:
     ours, bodies = save(tmp_path / "ours", {"a": garment()}), tmp_path / "bodies"
     bodies.mkdir()
     for name in "abc":
@@ -167,9 +158,7 @@ def test_missing_bodies_and_folders_are_errors_at_once(
 
 
 @pytest.mark.parametrize("content", ["[]", '{"pattern": 5}', "no JSON"])
-def test_another_json_file_among_true_patterns(
-    content: str, tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_json_file_among_true_patterns(content: str, tmp_path: Path, truth: Path, capsys: Capture) -> None:
     (truth / "bodies.json").write_text(content)
     assert run(save(tmp_path / "ours", {"a": garment()}), truth) == 1
     line = capsys.readouterr().err.splitlines()[-1]

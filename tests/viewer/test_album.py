@@ -3,7 +3,6 @@
 import argparse
 import json
 import shutil
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,12 +21,13 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.loaders import PublishedGarmentCodeData
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Drape, EdgeRef, Grade, Maps, Outcome
+from gcd_dataset.records import Grade, Maps, Outcome
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.layout import garments_layout
 from gcd_dataset.spec import write_pattern
 from gcd_dataset.viewer import garments
-from gcd_dataset.viewer.garments import Filter, PublishedAlbum, ShardAlbum, published_content, spec_album
+from gcd_dataset.viewer.garments import Album, Filter, PublishedAlbum, ShardAlbum, published_content, spec_album
+from tests.helpers import as_draped, flip, parts, renamed
 from tests.release.published import BATCH, TRAIN, publish
 
 COUNT = 6
@@ -123,18 +123,15 @@ def test_tags_are_read_in_parts_and_a_call_before_each_sees_what_is_known(
 def test_a_damaged_garment_has_no_tags_and_the_others_do(folder: Path, tmp_path: Path) -> None:
     album = ShardAlbum(ShardReader(Path(shutil.copytree(folder, tmp_path / "copy"))), "shards")
     (shard,) = (tmp_path / "copy").glob("*.tar")
-    content = bytearray(shard.read_bytes())
-    content[int(album._reader.index.start[2]) + 700] ^= 1  # in its meta.json
-    shard.write_bytes(content)
+    flip(shard, b"gcd_000000002.meta.json\0", 600)
     album.read_tags()
     assert (album.known, album.facets().kinds) == (COUNT, {"dress": 3, "skirt": 2})
 
 
 def test_a_picture_is_the_stored_front_or_the_drape_rendered_or_the_pattern(tmp_path: Path) -> None:
     made = make(3, 0, MakeConfig(bodies="neutral", stage="mesh", resolution=8.0, design=SHORT))
-    assert made.box_mesh is not None
-    drape = Drape(made.box_mesh.vertices, Outcome.SETTLED, 10, 0, 0, 1.0, 1.0)
-    bare = replace(made, drape=drape)
+    bare = as_draped(made)
+    mesh, drape = parts(bare)
     lost = replace(drape, vertices=np.full_like(drape.vertices, np.nan))
     white = jpeg_bytes(np.full((8, 8, 3), 255, np.uint8))
     with ShardWriter(tmp_path, seed=0, recipe={}) as writer:
@@ -145,7 +142,7 @@ def test_a_picture_is_the_stored_front_or_the_drape_rendered_or_the_pattern(tmp_
     assert (stored > 250).all()
     assert np.array_equal(drawn, draw_pattern(made.pattern, size=64))
     body, _, _ = named_body("neutral")
-    front, _ = render_garment(drape.vertices, made.box_mesh, body, size=64, device="cpu")
+    front, _ = render_garment(drape.vertices, mesh, body, size=64, device="cpu")
     assert np.abs(rendered.astype(int) - front).mean() < 1
 
 
@@ -153,8 +150,7 @@ def test_a_picture_is_the_stored_front_or_the_drape_rendered_or_the_pattern(tmp_
 def test_maps_colour_the_cloth_alone_and_alike_where_nothing_stretches_or_presses_it(tmp_path: Path) -> None:
     """Cloth 20 cm from the skin, as cut and without pressure: green in the picture of gaps, pale in the others."""
     made = make(3, 0, MakeConfig(bodies="neutral", stage="mesh", resolution=8.0, design=SHORT))
-    assert made.box_mesh is not None
-    drape = Drape(made.box_mesh.vertices, Outcome.SETTLED, 10, 0, 0, 1.0, 1.0)
+    mesh, drape = parts(as_draped(made))
     nothing = np.zeros(len(drape.vertices))
     maps = Maps(np.ones((len(nothing), 2)), nothing + 20.0, nothing, 1.0)
     with ShardWriter(tmp_path / "set", seed=0, recipe={}, layout=garments_layout(maps=True)) as writer:
@@ -172,22 +168,11 @@ def test_maps_colour_the_cloth_alone_and_alike_where_nothing_stretches_or_presse
         with Image.open(tmp_path / "a.png") as written:
             assert written.height > rows * 512
     Image.new("RGB", (2, 2), (0, 255, 0)).save(tmp_path / "green.png")
-    options = ["--texture", f"{made.box_mesh.panel_names[0]}={tmp_path / 'green.png'}", "--png"]
+    options = ["--texture", f"{mesh.panel_names[0]}={tmp_path / 'green.png'}", "--png"]
     assert main(["show", str(tmp_path / "set"), *options, str(tmp_path / "a.png")]) == 0
     with Image.open(tmp_path / "a.png") as written:
         red, green, blue = np.asarray(written.convert("RGB")).astype(int)[:, : 2 * 518].transpose(2, 0, 1)
         assert ((green > 2 * red) & (green > 2 * blue)).sum() > 500
-
-
-@pytest.mark.parametrize("form", ["--html", "--sheet", ""])
-def test_maps_of_a_data_set_without_maps_are_refused(
-    form: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = [form, str(tmp_path / ("a.html" if form == "--html" else "a.png"))] if form else []
-    assert main(["show", str(folder), "--maps", *file]) == 2
-    assert capsys.readouterr().err.endswith(
-        "holds no maps of stretch, gap and pressure: gcd generate --maps stores them\n"
-    )
 
 
 def sheet_of(folder: Path, *options: str) -> tuple[int, tuple[int, int]]:
@@ -217,10 +202,7 @@ def test_a_damaged_garment_is_left_white_on_a_sheet(
 ) -> None:
     copy = tmp_path / "damaged"
     shutil.copytree(folder, copy)
-    shard = copy / "train-00000.tar"
-    content = bytearray(shard.read_bytes())
-    content[600] ^= 1  # in the first meta.json
-    shard.write_bytes(content)
+    flip(copy / "train-00000.tar", b"gcd_000000000.meta.json\0", 600)
     assert sheet_of(copy, "--index", "0-3") == (1, (2, 2))
     assert "gcd show: " in capsys.readouterr().err
 
@@ -289,12 +271,9 @@ def test_a_folder_without_specifications_is_refused(tmp_path: Path) -> None:
 def test_matched_panels_and_right_seams_of_a_prediction_are_linked(tmp_path: Path) -> None:
     """Panels in another order and with other names match by place and outline; a seam is linked if its edges match."""
     true = fake_sample(0, 1).pattern
-    renamed = {panel.name: f"p{number}" for number, panel in enumerate(true.panels)}
-    panels = tuple(replace(panel, name=renamed[panel.name]) for panel in reversed(true.panels))
-    seams = tuple(
-        replace(seam, left=_on(renamed, seam.left), right=_on(renamed, seam.right)) for seam in true.seams[1:]
-    )
-    for name, pattern in (("predicted", replace(true, panels=panels, seams=seams)), ("true", true)):
+    other = renamed(true, {panel.name: f"p{number}" for number, panel in enumerate(true.panels)})
+    panels, seams = other.panels[::-1], other.seams[1:]
+    for name, pattern in (("predicted", replace(other, panels=panels, seams=seams)), ("true", true)):
         (tmp_path / name).mkdir()
         write_pattern(pattern, tmp_path / name / "a.json")
     links = spec_album(tmp_path / "predicted", tmp_path / "true").links(0)
@@ -302,10 +281,6 @@ def test_matched_panels_and_right_seams_of_a_prediction_are_linked(tmp_path: Pat
     assert sorted(links["panels"]) == [[i, last - i, 1.0] for i in range(len(panels))]
     assert links["seams"] == [[i, i + 1] for i in range(len(seams))]
     assert spec_album(tmp_path / "true").links(0) == {"panels": [], "seams": []}
-
-
-def _on(renamed: Mapping[str, str], edge: EdgeRef) -> EdgeRef:
-    return replace(edge, panel=renamed[edge.panel])
 
 
 PEOPLE = "5000_body_shapes_and_measures"
@@ -324,12 +299,17 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+def album_of(folder: Path) -> Album:
+    """What ``gcd show`` opens for a folder."""
+    options = argparse.Namespace(what=str(folder), split="train", truth=None, endpoint=None, index=0, maps=False)
+    vars(options).update(dict.fromkeys(("body", "measurements", "segmentation", "height", "betas")))
+    return _album(options)
+
+
 def test_a_release_is_recognised_beside_its_split_file(root: Path) -> None:
     """The split file of a release is JSON, and no specification."""
     for folder in (root, root.parent):
-        options = argparse.Namespace(what=str(folder), split="train", truth=None, endpoint=None, index=0, maps=False)
-        vars(options).update(dict.fromkeys(("body", "measurements", "segmentation", "height", "betas")))
-        assert isinstance(_album(options), PublishedAlbum)
+        assert isinstance(album_of(folder), PublishedAlbum)
 
 
 def test_garments_are_filtered_by_the_folder_of_their_body_and_found_by_name(root: Path) -> None:

@@ -13,10 +13,10 @@ import pytest
 
 from gcd_dataset.generator.lay_plan import lay_out
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Closure, EdgeRef, Pattern, Sample, Seam, StoredView
+from gcd_dataset.records import Closure, EdgeRef, Sample, Seam, StoredView
 from gcd_dataset.viewer.content import Content, content_of
 from gcd_dataset.viewer.page import _packed, page_of
-from tests.helpers import far_ball
+from tests.helpers import far_ball, parts, renamed
 from tests.shards.folders import fake_outfit
 from tests.viewer.elements import Elements
 
@@ -106,15 +106,11 @@ def test_the_policy_allows_the_page_s_own_script_alone(content: Content) -> None
 
 
 def test_texts_of_the_data_are_escaped(sample: Sample) -> None:
-    first, *rest = sample.pattern.panels
-
-    def renamed(ref: EdgeRef) -> EdgeRef:
-        return replace(ref, panel=HOSTILE) if ref.panel == first.name else ref
-
-    seams = [replace(seam, left=renamed(seam.left), right=renamed(seam.right)) for seam in sample.pattern.seams]
-    pattern = Pattern(HOSTILE, (replace(first, name=HOSTILE, label=HOSTILE), *rest), tuple(seams))
-    assert sample.box_mesh is not None
-    mesh = replace(sample.box_mesh, panel_names=(HOSTILE, *sample.box_mesh.panel_names[1:]))
+    mesh, _ = parts(sample)
+    pattern = replace(renamed(sample.pattern, {mesh.panel_names[0]: HOSTILE}), name=HOSTILE)
+    first, *rest = pattern.panels
+    pattern = replace(pattern, panels=(replace(first, label=HOSTILE), *rest))
+    mesh = replace(mesh, panel_names=(HOSTILE, *mesh.panel_names[1:]))
     hostile = replace(
         sample, key=HOSTILE, pattern=pattern, box_mesh=mesh, caption=HOSTILE, tags=(HOSTILE,), design={HOSTILE: HOSTILE}
     )
