@@ -15,7 +15,7 @@ import shapely
 from jaxtyping import Float
 from PIL import Image
 
-from gcd_dataset.curves import Arc, Cubic, Curve, Quadratic, curve_points, sample_curve
+from gcd_dataset.curves import Arc, Cubic, Curve, Quadratic, sample_curve
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drawing import contact_sheet, design_sheet, draw_pattern, jpeg_bytes, picture_of, png_bytes
 from gcd_dataset.generator.lay_plan import PAPER, lay_out
@@ -127,11 +127,22 @@ def _strokes(path: str, count: int) -> Iterator[Float[np.ndarray, "n 2"]]:
                     points = [(1 - t) * a + t * b for a, b in pairwise(points)]
                 yield points[0]
             case "A":
-                radius, same, _, large, sweep = numbers[:5]
-                assert radius == same
-                arc = Arc(radius, large=bool(large), right=bool(sweep))  # a positive sweep goes round counter-clockwise
-                yield curve_points((pen[0], pen[1]), (numbers[5], numbers[6]), arc, t[:, 0])
+                yield _arc(pen, numbers, t)
         pen = numbers[-2:] if len(numbers) else pen
+
+
+def _arc(pen: Float[np.ndarray, "2"], numbers: Float[np.ndarray, "7"], t: Float[np.ndarray, "n 1"]) -> np.ndarray:
+    """A circular arc: SVG 1.1, appendix F.6.5."""
+    radius, same, _, large, sweep = numbers[:5]
+    assert radius == same
+    half = 0.5 * (pen - numbers[5:])
+    square = max(radius**2 / (half @ half) - 1, 0.0)
+    offset = np.sqrt(square) * (1 if large != sweep else -1) * np.array([half[1], -half[0]])
+    centre = offset + 0.5 * (pen + numbers[5:])
+    first, last = (np.arctan2(*(side - offset)[::-1]) for side in (half, -half))
+    turn = (last - first) % (2 * np.pi) - (0 if sweep else 2 * np.pi)
+    angles = first + t * turn
+    return centre + radius * np.concatenate([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def lens(curve: Curve, *, clockwise: bool = False) -> Panel:

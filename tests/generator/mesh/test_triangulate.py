@@ -165,6 +165,6 @@ def test_an_outline_is_not_filled_while_another_thread_captures_a_graph() -> Non
     with ThreadPoolExecutor(1) as pool:
         pool.submit(triangulator).result()
         with launch_lock:
-            filling = pool.submit(triangulate, border, 1.0)
+            filling = pool.submit(triangulator().fill, border, 1.0)
             assert not wait([filling], timeout=0.2).done
         assert (filling.result()[0] == seeds).all()
