@@ -28,6 +28,7 @@ REGION_SCALE = 10.0  # scales offsets within a region to about 1
 MOST_YAW = 0.3  # rad, of the augmentation
 MOST_GROWTH = 0.08  # share, of the augmentation: lengths grow with the points, angles do not
 LEAST_DEVIATION = 1e-3  # cm, degrees
+DIVISIONS = 4  # of a scan, to answer: which points a network sees is a sixth of its error
 USUAL: Mapping[str, Any] = {"batch": 128, "lr": 5e-4}
 """Options of a training on a GPU."""
 SMOKE: Mapping[str, Any] = {
@@ -85,10 +86,8 @@ class _Drawn:
 
     def batch(self, rows: Int[Tensor, " b"], chance: torch.Generator | None = None) -> Scans:
         found = self.whole.batch(rows)
-        if chance is None:
+        if chance is None or not self.augmented:
             return found
-        if not self.augmented:
-            return Scans(found.points[:, : self.points], found.measures)
         device = found.points.device
         chosen = uploaded(torch.randperm(found.points.shape[1], generator=chance)[: self.points], device)
         draws = 2 * uploaded(torch.rand(len(self), 2, generator=chance)[rows], device) - 1
@@ -137,11 +136,12 @@ class MeasureNet(Learner[Scans, np.ndarray]):
         return {"measures": (said - (batch.measures - self.mean) / self.deviation).abs().mean()}
 
     def predict(self, batch: Scans) -> list[np.ndarray]:
-        """The mean of the answers to each ``points`` of a scan."""
-        parts = batch.points.split(self.config.points, dim=1)
-        whole = [part for part in parts if part.shape[1] == parts[0].shape[1]]
+        """The mean of the answers to parts of each scan, in ``DIVISIONS`` random divisions."""
+        size, count = self.config.points, batch.points.shape[1]
+        orders = [torch.randperm(count, generator=torch.Generator().manual_seed(seed)) for seed in range(DIVISIONS)]
+        parts = [part for order in orders for part in torch.split(order, size) if len(part) == min(size, count)]
         with torch.no_grad():
-            said = torch.stack([self._standard(part).float() for part in whole]).mean(dim=0)
+            said = torch.stack([self._standard(batch.points[:, part]).float() for part in parts]).mean(dim=0)
         return list((said * self.deviation + self.mean).double().cpu().numpy())
 
     def compile_parts(self) -> None:

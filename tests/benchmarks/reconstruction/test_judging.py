@@ -1,6 +1,7 @@
 """Files, box meshes, bodies and drapes of the evaluator."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,10 @@ from gcd_dataset.measurements import ANGLES, MEASURES
 from gcd_dataset.metrics import score_measures
 from gcd_dataset.records import Pattern
 from gcd_dataset.scoring.bodies import wearers_of
-from gcd_dataset.scoring.distances import (
-    read_shape,
-)
+from gcd_dataset.scoring.distances import read_shape
 from gcd_dataset.spec import read_pattern
 from tests.benchmarks.reconstruction.conftest import SKIRTS
+from tests.benchmarks.reconstruction.toys import small
 
 
 @pytest.fixture(scope="module")
@@ -96,3 +96,11 @@ def test_scans_show_cloth_and_skin(draped: GarmentSet) -> None:
         assert 0.05 < on_cloth.float().mean() < 0.95
         assert heights.min() > -2
         assert heights[~on_cloth].max() > heights[on_cloth].max()  # skirts end below the head
+
+
+def test_measures_are_answered_from_all_points_of_a_scan(draped: GarmentSet) -> None:
+    net: Any = small("measures")
+    batch = net.prepare(draped, device=CPU).batch(torch.arange(2))
+    moved = batch.points.clone()
+    moved[:, net.config.points :, 1] += 0.5
+    assert not np.allclose(net.predict(batch), net.predict(replace(batch, points=moved)))
