@@ -99,6 +99,7 @@ $TRAIN --model measures --task T5 --train 4000 --steps 1000 --checks 1 --out run
 $TRAIN --model measures --task T5 --train 4000 --minutes 2 --checks 1 --out runs/T5-4k-measures
 $TRAIN --model measures --task T5 --train 8000 --minutes 3 --checks 2 --validate 500 --compile --out runs/T5-8k
 $TRAIN --model measures --task T5 --train 12000 --minutes 8 --checks 2 --validate 500 --compile --out runs/T5-12k
+$TRAIN --model measures --task T5 --train 64 --steps 0 --weights benchmarks/reconstruction/weights/T5.pt --out runs/T5-again
 $TRAIN --model measures --task T5 --train 4000 --leave-out dress --steps 1000 --checks 1 --out runs/families-T5-dress
 $TRAIN --model measures --task T5 --train 4000 --leave-out jumpsuit --steps 1000 --checks 1 --out runs/families-T5-jumpsuit
 $TRAIN --model measures --task T5 --train 4000 --leave-out pants --steps 1000 --checks 1 --out runs/families-T5-pants

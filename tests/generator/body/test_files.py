@@ -128,7 +128,7 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
         ("size", "body: {hips: -3}", "body.hips is -3: give a positive number of centimetres"),
         ("size", "body: {shoulder_incl: steep}", "body.shoulder_incl is 'steep': give a number of degrees"),
         ("mesh", "v 0 0\nf 1 2 9\n", "box.obj"),
-        ("mesh", 3 * "v 0 0 0\nv 1 0 0\nv 0 170 0\n" + "f 1 1 1\n", "the inside is ambiguous"),
+        ("mesh", 3 * "v 0 0 0\nv 1 0 0\nv 0 170 0\n" + "f 1 1 1\n", "box.obj"),
         ("mesh", 3 * "v 0 0 0\nv 1 0 0\nv 0 170 0\n" + "f 1 2 3\n", "not closed"),
     ],
 )
