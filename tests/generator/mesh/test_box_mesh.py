@@ -312,7 +312,7 @@ TURNED: dict[str, set[str]] = {
     "Shirt, SimpleLapel, standing True": LAPELS,
     "Shirt, SimpleLapel, standing False": LAPELS | ROUND,
     "Shirt, Hood2Panels, standing False": set(),
-    "shirt": set(),
+    "Shirt": set(),
     "Pants": set(),
 }
 
