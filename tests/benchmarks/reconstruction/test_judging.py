@@ -99,7 +99,7 @@ def test_scans_show_cloth_and_skin(draped: GarmentSet) -> None:
 
 
 def test_measures_are_answered_from_all_points_of_a_scan(draped: GarmentSet) -> None:
-    net: Any = small("measures")
+    net: Any = small("measures", augmented=1)
     batch = net.prepare(draped, device=CPU).batch(torch.arange(2))
     moved = batch.points.clone()
     moved[:, net.config.points :, 1] += 0.5
