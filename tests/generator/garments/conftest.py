@@ -107,6 +107,12 @@ def woman() -> Measurements:
     return WOMAN
 
 
+@pytest.fixture
+def giant() -> Measurements:
+    """A man three times as tall, for an example of CONTRIBUTING."""
+    return WEARERS["giant"]
+
+
 @pytest.fixture(params=DESIGNS)
 def design(request: pytest.FixtureRequest) -> GarmentDesign:
     """Each garment of the battery in turn."""
