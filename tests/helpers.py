@@ -121,14 +121,14 @@ def parts(sample: Sample) -> tuple[BoxMesh, Drape]:
 
 
 def as_draped(made: Sample, outcome: Outcome = Outcome.SETTLED) -> Sample:
-    """A garment whose drape is faked: the vertices are the start positions, a little moved."""
+    """A garment whose box mesh, a little moved, stands for its drape."""
     assert made.box_mesh is not None
     moved = made.box_mesh.vertices + 1e-3 * (1 + made.box_mesh.vertices[:, :1])
     return replace(made, drape=Drape(moved, outcome, 100, 1, 2, 1.0, 1.1))
 
 
-def flip(path: Path, text: bytes, after: int) -> None:
-    """Change a bit of a file, so many bytes after the first occurrence of a text."""
+def flip(path: Path, place: int, *, after: bytes = b"") -> None:
+    """Change a bit of a file, ``place`` bytes after the beginning of a text."""
     content = bytearray(path.read_bytes())
-    content[content.index(text) + after] ^= 1
+    content[content.index(after) + place] ^= 1
     path.write_bytes(content)

@@ -78,7 +78,7 @@ def test_generate_names_other_files_until_it_has_begun(
 def test_check_names_one_flipped_byte(data: Path, capsys: Capture) -> None:
     assert main(["check", str(data), "--bytes"]) == 0
     assert said(capsys).endswith("nothing harmful found\n")
-    flip(data / "train-00001.tar", b"gcd_000000005.verts.z\0", 600)
+    flip(data / "train-00001.tar", 600, after=b"gcd_000000005.verts.z\0")
     assert main(["check", str(data)]) == 0  # within a member: the headers are intact
     assert main(["check", str(data), "--bytes"]) == 1
     text = said(capsys)

@@ -85,7 +85,7 @@ def outside(folder: Path, inner: Path) -> dict[str, bytes | None]:
 
 @cache
 def garment() -> Sample:
-    """A generated garment whose drape is faked."""
+    """A generated garment; its box mesh stands for its drape."""
     return as_draped(make(3, 0, MakeConfig(stage="mesh", resolution=8.0, points=16)))
 
 

@@ -147,7 +147,7 @@ def _shards(source: str, endpoint: str | None, cache_dir: str | Path | None) -> 
             raise ConfigError(f"{source}: a data set of bodies: run gcd download {source} first, then give the folder")
         return _Examined(store.location(), (), folder)
     made = {name for name, record in manifest.splits.items() if record.count}
-    # Garments of later splits are compared with those of earlier ones.
+    # In this order: each garment is compared with those of the splits before.
     names = [*(name for name in SPLITS if name in made), *sorted(made - {*SPLITS})]
     splits = tuple(_shard_split(source, name, options) for name in names)
     return _Examined(store.location(), splits, folder)

@@ -58,7 +58,7 @@ class LandmarkTable(Record):
 
 @functools.cache
 def body_model() -> BodyModel:
-    """The model from the file's arrays: mirrored, then refined. Raises ``BodyError`` if the file is damaged."""
+    """The body model, mirrored from its half and refined. Raises ``BodyError`` if the file is damaged."""
     with np.load(io.BytesIO(checked_data("body.npz"))) as file:
         half = {name: file[name] for name in file.files}
     mirror = half["mirror"].astype(int)

@@ -377,7 +377,7 @@ def shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_damaged_garment_is_named_and_the_others_are_examined(shards: Path) -> None:
-    flip(shards / "train-00000.tar", b"gcd_000000002.verts.z\0", 600)
+    flip(shards / "train-00000.tar", 600, after=b"gcd_000000002.verts.z\0")
     report = examine(shards)
     assert names(report) == {"unreadable"}
     found = report.finding("unreadable")

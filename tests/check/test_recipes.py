@@ -130,7 +130,7 @@ def test_samples_in_the_wrong_split_are_reported(made: Path, recipe: Recipe, tmp
 
 
 def test_a_damaged_pattern_is_reported(copy: Path, recipe: Recipe) -> None:
-    flip(copy / "test-00000.tar", b".pattern.z\0", 600)
+    flip(copy / "test-00000.tar", 600, after=b".pattern.z\0")
     (message,) = recipe_faults(copy, recipe)
     assert "test-00000.tar" in message
     assert "pattern.z" in message

@@ -11,7 +11,7 @@ from tests.helpers import as_draped
 
 @pytest.fixture(scope="session")
 def worn() -> Sample:
-    """A generated garment whose drape is faked."""
+    """A generated garment; its box mesh stands for its drape."""
     return as_draped(make(3, 0, MakeConfig(bodies="neutral", stage="mesh", resolution=4.0, points=16)))
 
 

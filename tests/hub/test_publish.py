@@ -24,8 +24,9 @@ from gcd_dataset.records import BodyShape, Sample
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.layout import garments_layout
 from gcd_dataset.shards.manifest import read_manifest
+from tests.helpers import flip
 from tests.hub.server import Fault, Hub, read_folder
-from tests.shards.folders import fake_outfit, flip, write_samples
+from tests.shards.folders import fake_outfit, write_samples
 
 # A deprecation within ``huggingface_hub``.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")

@@ -22,9 +22,9 @@ from gcd_dataset.shards.index import SplitIndex
 from gcd_dataset.shards.layout import is_picture
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, parse_manifest, read_manifest
 from gcd_dataset.shards.store import DOWNLOAD_FILE, FolderStore
+from tests.helpers import flip
 from tests.hub.conftest import COUNT, ensure, read, write_set
 from tests.hub.server import Fault, Hub, read_folder
-from tests.shards.folders import flip
 
 REPO = Repo("org/garments")
 

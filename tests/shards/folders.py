@@ -115,10 +115,3 @@ def write_members(folder: Path, samples: Mapping[str, Mapping[str, bytes]], numb
             part[key] = {name: data for name, data in members.items() if is_picture(name) is of_pictures}
     name = f"train-{number:05d}.tar"
     return write_tar(folder / name, parts[0]), write_tar(folder / "views" / name, parts[1])
-
-
-def flip(path: Path, place: int) -> None:
-    """Change a bit of a byte of a file."""
-    content = bytearray(path.read_bytes())
-    content[place] ^= 1
-    path.write_bytes(content)

@@ -21,8 +21,9 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import StoredView
 from gcd_dataset.shards import FIELDS, ShardReader
 from gcd_dataset.shards.hdf5 import write_hdf5
+from tests.helpers import flip
 from tests.loaders.test_shards import assert_all_same
-from tests.shards.folders import fill, flip, open_writer
+from tests.shards.folders import fill, open_writer
 
 COUNT = 6
 
@@ -192,7 +193,7 @@ def test_a_changed_byte_is_found(folder: Path, file: Path, tmp_path: Path) -> No
     design = bytes(ShardReader(folder).read(2, ["design.txt"])["design.txt"])
     for part in (verts.tobytes(), design):
         changed = Path(shutil.copy(file, tmp_path / "changed.h5"))
-        flip(changed, changed.read_bytes().index(part) + 11)
+        flip(changed, 11, after=part)
         one = Hdf5Garments(changed)
         one.verify(1)
         with pytest.raises(ShardError, match=r"changed\.h5: sample 2: bytes differ from the written ones"):

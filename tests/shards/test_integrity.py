@@ -28,7 +28,8 @@ from gcd_dataset.shards.codec import decode_field
 from gcd_dataset.shards.meta import sealed
 from gcd_dataset.shards.notes import gather
 from gcd_dataset.shards.tar import BLOCK, END
-from tests.shards.folders import fill, flip, forbidden, public_folder, write_members
+from tests.helpers import flip
+from tests.shards.folders import fill, forbidden, public_folder, write_members
 
 Change = Callable[[Any], object]
 STRANGE = (b"[" * 100_000, b'{"n":' + b"9" * 5000 + b"}", b"[]", b"\xff", b"NaN")
@@ -173,7 +174,7 @@ def test_a_cut_tar_is_not_taken_for_a_whole_one(bare: Path) -> None:
 
 def test_notes_are_made_again_from_whole_members_alone(bare: Path) -> None:
     path = bare / "train-00001.tar"
-    flip(path, path.read_bytes().index(b"gcd_000000005.design.txt\0") + BLOCK)
+    flip(path, BLOCK, after=b"gcd_000000005.design.txt\0")
     with pytest.raises(ShardError, match=rf"sample gcd_000000005: member design\.txt: bytes differ .*: {REMEDY}"):
         GarmentDataset(bare)
     (bare / "train-00000.tar").unlink()

@@ -19,7 +19,8 @@ from gcd_dataset.shards.layout import key_of
 from gcd_dataset.shards.store import FolderStore
 from gcd_dataset.shards.tar import BLOCK
 from gcd_dataset.shards.writer import draft_name
-from tests.shards.folders import fill, flip, forbidden, public_folder
+from tests.helpers import flip
+from tests.shards.folders import fill, forbidden, public_folder
 
 
 @pytest.fixture

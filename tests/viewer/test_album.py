@@ -123,7 +123,7 @@ def test_tags_are_read_in_parts_and_a_call_before_each_sees_what_is_known(
 def test_a_damaged_garment_has_no_tags_and_the_others_do(folder: Path, tmp_path: Path) -> None:
     album = ShardAlbum(ShardReader(Path(shutil.copytree(folder, tmp_path / "copy"))), "shards")
     (shard,) = (tmp_path / "copy").glob("*.tar")
-    flip(shard, b"gcd_000000002.meta.json\0", 600)
+    flip(shard, 600, after=b"gcd_000000002.meta.json\0")
     album.read_tags()
     assert (album.known, album.facets().kinds) == (COUNT, {"dress": 3, "skirt": 2})
 
@@ -202,7 +202,7 @@ def test_a_damaged_garment_is_left_white_on_a_sheet(
 ) -> None:
     copy = tmp_path / "damaged"
     shutil.copytree(folder, copy)
-    flip(copy / "train-00000.tar", b"gcd_000000000.meta.json\0", 600)
+    flip(copy / "train-00000.tar", 600, after=b"gcd_000000000.meta.json\0")
     assert sheet_of(copy, "--index", "0-3") == (1, (2, 2))
     assert "gcd show: " in capsys.readouterr().err
 
