@@ -14,8 +14,8 @@ MINUTES = 8.0  # of a training without --steps
 SMOKE: Mapping[str, Any] = {"train": 16, "test": 8, "resolution": 4.0, "workers": 0}
 """Options of the smallest run."""
 OF_WEIGHTS = (
-    "model", "task", "train", "source", "leave_out", "fresh", "resolution", "sizes", "weights", "smoke", "steps",
-    "minutes", "batch", "lr", "warm_up", "weight_decay", "ema", "seed",
+    "model", "task", "train", "train_seed", "source", "leave_out", "fresh", "resolution", "sizes", "weights", "smoke",
+    "steps", "minutes", "batch", "lr", "warm_up", "weight_decay", "ema", "seed",
 )  # fmt: skip
 """Options that the weights of a training depend on."""
 
@@ -33,6 +33,7 @@ class Config:
     task: str = option("T0", "a task of benchmarks/reconstruction/tasks.py")
     out: str = option("out", "folder of the results; a repeated call goes on there")
     train: int = option(4000, "garments to train on")
+    train_seed: int = option(0, "seed of these: another one gives --weights garments that they were not trained on")
     test: int = option(0, "garments to test on; 0: as many as the task names")
     validate: int = option(0, "most garments of each part of the validation set, which chooses the weights and the "
                            "record; 500: all; 0: the last weights answer, and 32 garments are watched")  # fmt: skip

@@ -82,7 +82,7 @@ def require_usable(config: Config, task: ReconstructionTask, model: Any, learner
 
 def load_split(config: Config, task: ReconstructionTask) -> Split:
     """The garments, of the training set this rank's share; the first rank makes them, the others read its cache."""
-    share: dict[str, Any] = {"share": (rank(), ranks()), "tested": config.test}
+    share: dict[str, Any] = {"share": (rank(), ranks()), "tested": config.test, "seed": config.train_seed}
     with first_rank_first():
         workers = max(1, cores() - 1) if config.workers < 0 else config.workers
         data = Path(config.data) if config.data else Path(config.out).parent / "garments"

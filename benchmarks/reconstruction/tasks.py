@@ -1,10 +1,9 @@
 """The tasks T0 to T8: what is given, what is asked, the garments, and the score that heads the table.
 
-The garments are functions of a seed: the training set of seed ``TRAIN_SEED``, of which each size holds the smaller
-ones; the test set, garments of the frozen inputs of ``gcd bench``, the same designs in every task and for every size
-of the training set; and a few garments of ``CHECK_SEED`` to watch a training. ``Split`` checks that they share no
-design and no body. Weights, options and records are chosen on the validation set, ``VALIDATION``, never on the test
-set.
+The garments are functions of a seed: the training set of seed 0, of which each size holds the smaller ones; the test
+set, garments of the frozen inputs of ``gcd bench``, the same designs in every task and for every size of the training
+set; and a few garments of ``CHECK_SEED`` to watch a training. ``Split`` checks that they share no design and no body.
+Weights, options and records are chosen on the validation set, ``VALIDATION``, never on the test set.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +17,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.filekinds import is_published
 from gcd_dataset.scoring.inputs import MOVING, MOVING_TESTED, SEED
 
-TRAIN_SEED, CHECK_SEED, FRESH_SEED = 0, 2, 1000
+CHECK_SEED, FRESH_SEED = 2, 1000
 CHECKED = 32  # garments that watch a training
 GENERATED = "generated"  # the test source of the task's own garments
 SHIRTS = {"options": ["FittedShirt", "Shirt"]}
@@ -99,6 +98,7 @@ class ReconstructionTask:
         tested: int = 0,
         checked: int = 0,
         share: tuple[int, int] = (0, 1),
+        seed: int = 0,
         **changes: Any,
     ) -> Split:
         """The garments: generated, or those of a folder or repository ``source``, split by design and body, or by the
@@ -107,12 +107,13 @@ class ReconstructionTask:
         ``test_source``: another source of those that test: ``generated``, a task with the same answers, or as
         ``source``. ``data``: folder that caches generated ones. ``tested``, ``checked``: garments that test and that
         watch a training, 0 for the usual number. ``share``: (r, n) for the training garments r, r + n … alone.
-        ``changes``: other ``options``. Raises ``ConfigError`` for garments of another stage.
+        ``seed``: of generated training garments. ``changes``: other ``options``. Raises ``ConfigError`` for garments of
+        another stage.
         """
         make, checked = self._making(data, workers, **changes), checked or min(CHECKED, count)
         tests: Callable[[str], GarmentSet] = partial(self._tests, tested=tested, data=data, workers=workers, **changes)
         if not source:
-            train = generated(count, TRAIN_SEED, share=share, **make)
+            train = generated(count, seed, share=share, **make)
             return Split(train, generated(checked, CHECK_SEED, **make), tests(test_source))
         if is_published(Path(source)):
             train = self._read(source, data, workers, "train", count)

@@ -218,6 +218,14 @@ def test_the_test_set_depends_neither_on_the_task_nor_on_the_size() -> None:
     assert not np.isin(pattern.test.bodies, pattern.train.bodies).any()
 
 
+def test_another_seed_has_other_garments_to_train_on_and_the_same_test_set() -> None:
+    one, other = (TASKS["T3"].load(3, tested=2, seed=seed, design=SKIRTS) for seed in (0, 7))
+    assert one.test.keys == other.test.keys
+    assert not np.isin(other.train.designs, one.train.designs).any()
+    with pytest.raises(ConfigError, match="2 designs are in train and test"):
+        TASKS["T3"].load(3, tested=2, seed=1, design=SKIRTS)
+
+
 @pytest.mark.long
 def test_the_validation_set_has_enough_trousers_jumpsuits_and_hoods(monkeypatch: pytest.MonkeyPatch) -> None:
     """500 garments as sampled, and 60 and more of each kind; none is trained or tested on."""
