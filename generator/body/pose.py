@@ -63,7 +63,7 @@ divided among its bones. Elbows and knees have slack aside, since their axes are
 POSES = {  # bend, spread and twist [degrees] of both sides; of the left, then of the right, where they differ
     "a-pose": {},
     "t-pose": {"shoulder": (0, 8, 0), "upper_arm": (0, 37, 0)},
-    "arms-forward": {"shoulder": (10, 0, 0), "upper_arm": (75, 0, 0)},
+    "arms-forward": {"shoulder": (10, 0, 0), "upper_arm": (55, 1, 0)},  # 20° below the horizontal
     "arms-down": {"shoulder": (0, 8, 0), "upper_arm": (0, -28, 0), "forearm": (5, 0, 0)},
     "stride": {
         "left_thigh": (22, 5, 0), "left_shin": (-5, 0, 0), "left_foot": (-15, -5, 0), "left_upper_arm": (-20, -12, 0),

@@ -125,6 +125,15 @@ def test_forward_outward_and_heel_to_the_back(woman: Body) -> None:
     assert joint(bent, "right_foot")[2] < joint(woman, "right_foot")[2] - 25.0
 
 
+@pytest.mark.parametrize(("name", "pitch", "heading"), [("t-pose", 0.0, 90.0), ("arms-forward", -20.0, 15.0)])
+def test_arms_of_named_poses_point_forward_and_aside(body: Body, name: str, pitch: float, heading: float) -> None:
+    """Degrees above the horizontal, and from the front outwards."""
+    posed = pose_body(body, named_pose(name))
+    x, y, z = joint(posed, "left_hand") - joint(posed, "left_upper_arm")
+    assert np.degrees(np.arctan2(y, np.hypot(x, z))) == pytest.approx(pitch, abs=6.0)
+    assert np.degrees(np.arctan2(x, z)) == pytest.approx(heading, abs=8.0)
+
+
 def test_named_and_drawn_poses_do_not_cut_the_body() -> None:
     neutral = build_body(named_shape("neutral"))
     assert skin_crossings(pose_body(neutral, pose_of({"upper_arm": (0, -50, 0)}, "arms in the trunk"))) > 0
