@@ -10,7 +10,6 @@ network to which all pictures were new predicted the same panels for every pictu
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
@@ -118,9 +117,9 @@ class PicturedExamples(TensorExamples):
 
 
 def pictures_of(garments: GarmentSet) -> dict[str, Tensor]:
-    """The columns of ``PicturedExamples``, on a CPU."""
-    rows = {name: [garments.ragged[name][k] for k in range(len(garments))] for name in ("pictures", "shown")}
-    return {name: torch.from_numpy(np.stack(arrays)) for name, arrays in rows.items()}
+    """The columns of ``PicturedExamples``, on a CPU; they share the memory of the garments."""
+    rows = {name: torch.from_numpy(garments.ragged[name].rows) for name in ("pictures", "shown")}
+    return {name: pictures.view(len(garments), PICTURES, *pictures.shape[1:]) for name, pictures in rows.items()}
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from benchmarks.reconstruction.derived import FIT
 from benchmarks.reconstruction.garments import GarmentSet
-from benchmarks.reconstruction.learners import Learner, TensorExamples, encoded_by, mean_of, sizes_from
+from benchmarks.reconstruction.learners import Learner, TensorExamples, mean_of, sizes_from
 from benchmarks.reconstruction.picture_model import DrawnPictures, PicturedExamples, PictureTokens, pictures_of
 from benchmarks.reconstruction.point_net import EncoderConfig
 from benchmarks.reconstruction.surface_net import mlp
@@ -61,7 +61,7 @@ class FitNet(Learner[PictureFits, np.ndarray]):
             known = np.ma.masked_invalid(garments.ragged["fit"].rows)
             self.mean.copy_(torch.from_numpy(known.mean(axis=0).filled(0.0)))
             self.deviation.copy_(torch.from_numpy(known.std(axis=0).filled(0.0)).clamp(min=LEAST_DEVIATION))
-        return self.drawn_from(encoded_by(encoded, garments, workers).to(device))
+        return self.drawn_from(encoded(garments).to(device))
 
     def drawn_from(self, encoded: TensorExamples) -> DrawnPictures[PictureFits]:
         return DrawnPictures(cast(PictureFits, encoded), self.views)

@@ -79,7 +79,7 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
     def prepare(self, garments: GarmentSet, *, device: torch.device, workers: int = 0) -> DrawnPictures[PictureDesigns]:
         """Pictures and targets. The first set prepared, the training set, gives the range of the measures."""
         self.decoder.learn_range(garments)
-        return self.drawn_from(encoded_by(encoded, garments, workers).to(device))
+        return self.drawn_from(encoded(garments, workers).to(device))
 
     def drawn_from(self, encoded: TensorExamples) -> DrawnPictures[PictureDesigns]:
         kind = MirroredPictures if self.augmented else DrawnPictures
@@ -116,9 +116,10 @@ class PictureParameters(Learner[PictureDesigns, Pattern]):
         return self.decoder.proposals([self.tokens(pictures)], count, chance)
 
 
-def encoded(garments: GarmentSet) -> PictureDesigns:
+def encoded(garments: GarmentSet, workers: int = 0) -> PictureDesigns:
     """Pictures and targets of garments with the fields ``design``, ``pictures`` and ``shown``, on a CPU."""
-    return PictureDesigns(**vars(DesignTargets.of(garments)), **pictures_of(garments))
+    bare = replace(garments, ragged={"design": garments.ragged["design"]})  # no picture is sent between processes
+    return PictureDesigns(**vars(encoded_by(DesignTargets.of, bare, workers)), **pictures_of(garments))
 
 
 def build(config: Mapping[str, Any]) -> PictureParameters:
