@@ -70,7 +70,8 @@ def print_colour(cloth: ClothRow, uv: wp.vec2, panel: int, rise: float, width: f
         share = ramp(0.1, 0.9, rise / cloth.period + 0.15 * fractal2(uv * (2.0 / cloth.period), 3, cloth.seed))
         return wp.lerp(cloth.first, cloth.ground, share)
     if kind == IMAGE:
-        return bilinear(texel, cloth.texels, cloth.width, cloth.height, x / cloth.period, -y / cloth.period, 1)
+        height = cloth.period * float(cloth.height) / float(cloth.width)
+        return bilinear(texel, cloth.texels, cloth.width, cloth.height, x / cloth.period, -y / height, 1)
     return cloth.ground
 
 

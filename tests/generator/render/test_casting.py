@@ -173,6 +173,7 @@ def printed() -> dict[str, np.ndarray]:
         "quarter": Print(PrintKind.STRIPES, (BLACK, WHITE, GREY, GREY), period=2.0, fill=0.25),
         "grain": Print(PrintKind.STRIPES, (BLACK, WHITE, GREY, GREY), period=4.0, fill=0.5, matched=True),
         "tile": Print(PrintKind.IMAGE, period=20.0, image=tile, matched=True),
+        "tall": Print(PrintKind.IMAGE, period=10.0, image=tile[:, [1, 1]].repeat(4, axis=0).repeat(2, axis=1), matched=True),
         **{
             f"every {kind}": Print(
                 kind, colours, period=5.0 if kind is PrintKind.DOTS else 12.0, image=np.tile(tile, (2, 2, 1))
@@ -212,6 +213,12 @@ def test_an_image_tile_lies_upright_and_unmirrored(printed: dict[str, np.ndarray
     assert upper[0] > 2 * upper[2]
     assert left[2] > 150
     assert right.max() < left.min() - 60
+
+
+def test_an_image_tile_keeps_its_shape(printed: dict[str, np.ndarray]) -> None:
+    """A tile of 10 by 20 cm whose upper half is red."""
+    column = printed["tall"][:, 48].astype(int)
+    assert [red > 2 * blue for red, _, blue in column[[22, 40, 58, 74]]] == [True, True, False, False]
 
 
 def test_every_print_is_drawn(printed: dict[str, np.ndarray]) -> None:
