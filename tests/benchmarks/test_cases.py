@@ -46,9 +46,8 @@ def test_options_are_compared_by_share() -> None:
 
 
 def test_designs_without_the_parameter_do_not_count() -> None:
-    assert shift(CUT, ["plain", UNUSED, "flared"], ["plain", "plain", "flared"], paired=True).moved == pytest.approx(
-        1 / 6
-    )
+    found = shift(CUT, ["plain", UNUSED, "flared"], ["plain", "plain", "flared"], paired=True)
+    assert found.moved == pytest.approx(1 / 6)
 
 
 def options(*given: str) -> argparse.Namespace:

@@ -85,12 +85,6 @@ def test_a_pattern_that_cannot_be_read_is_named_and_the_others_are_measured(
     assert "| bad |  | REFUSED |" in report.read_text()
 
 
-def test_a_pattern_agrees_with_itself() -> None:
-    found = compare(napkins(), napkins())
-    assert not found.structure
-    assert max(found.outline.values()) == max(found.placement.values()) == 0.0
-
-
 def test_a_moved_panel_keeps_its_outline() -> None:
     found = compare(changed(napkins(), placement=Placement(np.array([3.0, 0.0, 4.0]), np.zeros(3))), napkins())
     assert found.outline["one"] == pytest.approx(0.0, abs=1e-9)

@@ -283,13 +283,8 @@ def same_body(train: Samples, test: Samples, row: int = 2) -> None:
 
 def same_pattern(train: Samples, test: Samples, row: int = 2) -> None:
     """The garment of a train design, on another body, with its own key."""
-    test[row] = replace(twin(train[row + 3], test[row]), gathers=test[row].gathers)
-
-
-def twin(sample: Sample, other: Sample) -> Sample:
-    """``sample`` with key, design and body of ``other``."""
-    kept = {name: getattr(other, name) for name in ("key", "provenance", "design", "shape", "measurements")}
-    return replace(sample, **kept)
+    own = ("key", "provenance", "design", "shape", "measurements", "gathers")
+    test[row] = replace(train[row + 3], **{name: getattr(test[row], name) for name in own})
 
 
 def test_splits_that_share_garments_are_found(tmp_path: Path) -> None:
@@ -308,25 +303,14 @@ def test_splits_that_share_garments_are_found(tmp_path: Path) -> None:
         assert (finding.split, finding.count, finding.details) == ("test", count, {"also in train": count})
 
 
-def test_a_small_share_of_known_patterns_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.check.examination.FEW_LEAKED", 0.1)
-    report = edited(tmp_path, same_pattern)
-    assert (names(report), names(report, Harm.WARNING)) == (set(), {"leaked-pattern"})
-
-
 def test_a_ruffle_of_eight_metres_is_no_wrong_unit(tmp_path: Path) -> None:
-    """Its edges are long, but most edges of the garment are not."""
-    pattern = generated_ruffle()
+    """Its edges are long, but most edges of the garment, a skirt of five levels, each gathered, are not."""
+    levels = {"level_ruffle": 1.7, "num_levels": 5, "base": "PencilSkirt", "level": "Skirt2"}
+    design = design_from_dict({"meta": {"bottom": "SkirtLevels"}, "levels-skirt": levels})
+    pattern = draw_garment(measure(build_body(neutral_shape())), design)
     assert max(np.ptp(panel.vertices, axis=0).max() for panel in pattern.panels) > 400
     flat = replace(good()[0], pattern=pattern, box_mesh=None, drape=None, points=None, gathers=())
     assert "units" not in names(examine(written(tmp_path, [flat])))
-
-
-def generated_ruffle() -> Pattern:
-    """A skirt of five levels, gathered at each."""
-    levels = {"level_ruffle": 1.7, "num_levels": 5, "base": "PencilSkirt", "level": "Skirt2"}
-    design = {"meta": {"bottom": "SkirtLevels"}, "levels-skirt": levels}
-    return draw_garment(measure(build_body(neutral_shape())), design_from_dict(design))
 
 
 def test_the_neutral_body_may_be_in_every_split(tmp_path: Path) -> None:
@@ -586,11 +570,12 @@ def test_the_verb_prints_findings_in_order_of_harm_and_exits_1(
     assert report["findings"][1]["examples"] == ["gcd_000000003"]
 
 
-def test_warnings_fail_a_strict_check_alone(
+def test_a_small_share_of_known_patterns_is_a_warning_and_fails_a_strict_check_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("gcd_dataset.check.examination.FEW_LEAKED", 0.1)
-    edited(tmp_path, same_pattern)
+    report = edited(tmp_path, same_pattern)
+    assert (names(report), names(report, Harm.WARNING)) == (set(), {"leaked-pattern"})
     assert main(["check", str(tmp_path), "--quiet"]) == 0
     assert main(["check", str(tmp_path), "--quiet", "--strict"]) == 1
     assert capsys.readouterr().out.count("(leaked-pattern)") == 2
@@ -598,11 +583,9 @@ def test_warnings_fail_a_strict_check_alone(
     assert "(leaked-pattern)" not in capsys.readouterr().out
 
 
-def test_every_check_says_what_it_does_to_a_training_and_the_remedy() -> None:
-    assert len({check.name for check in CHECKS}) == len(CHECKS)
+def test_every_check_has_an_effect_a_remedy_and_an_entry_of_the_guide() -> None:
     assert all(check.effect and check.remedy and check.fault for check in CHECKS)
-
-
-def test_the_guide_names_every_check() -> None:
     guide = (Path(__file__).resolve().parents[2] / "docs" / "check.md").read_text()
-    assert [line.split("`")[1] for line in guide.splitlines() if line.startswith("| `")] == [c.name for c in CHECKS]
+    listed = [line.split("`")[1] for line in guide.splitlines() if line.startswith("| `")]
+    assert listed == [check.name for check in CHECKS]
+    assert len({*listed}) == len(listed)

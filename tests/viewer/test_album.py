@@ -101,10 +101,6 @@ def test_an_unknown_garment_is_refused_with_the_known_range(text: str, album: Sh
         album.position_of(text)
 
 
-def test_a_garment_has_its_page(album: ShardAlbum) -> None:
-    assert "gcd_000000002" in album.page(2)
-
-
 def test_reading_stops_when_the_album_is_closed(album: ShardAlbum) -> None:
     album.close()
     album.read_tags()
@@ -246,7 +242,9 @@ def test_scores_tell_what_is_missing_and_the_means(tmp_path: Path, folder: Path)
     assert nested.links(1)["score"] == lines[3].partition(": ")[2]
 
 
-def test_two_files_of_one_garment_are_refused(tmp_path: Path) -> None:
+def test_an_empty_folder_and_two_files_of_one_garment_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no specification file"):
+        spec_album(tmp_path)
     for name in ("a.json", "a_prediction.json"):
         write_pattern(fake_sample(0, 1).pattern, tmp_path / name)
     with pytest.raises(ConfigError, match=r"a_prediction\.json: .*a\.json is named after the same garment"):
@@ -261,11 +259,6 @@ def test_a_specification_that_cannot_be_drawn_is_an_error_with_file_and_edge(tmp
     (tmp_path / "a.json").write_text(json.dumps(spec))
     with pytest.raises(GcdError, match=rf"a\.json: panel {name}, edge 1.*vertex 9999"):
         spec_album(tmp_path).page(0)
-
-
-def test_a_folder_without_specifications_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no specification file"):
-        spec_album(tmp_path)
 
 
 def test_matched_panels_and_right_seams_of_a_prediction_are_linked(tmp_path: Path) -> None:

@@ -24,11 +24,6 @@ def draped(mesh: BoxMesh, vertices: np.ndarray, crossings: int = 0) -> Sample:
     return replace(fake_sample(3, 1), box_mesh=mesh, drape=drape, shape=None)
 
 
-def test_flat_cloth_has_no_crossing() -> None:
-    cloth = patch(4, 4)
-    assert not len(crossing_vertices(cloth.vertices, cloth.faces))
-
-
 def test_two_sheets_that_cross_are_marked_along_the_line_where_they_meet() -> None:
     """A sheet in the plane z = 0.5 and one in the plane x = 2.5 meet where both are: all marks lie near that line."""
     flat = patch(5, 5, place=np.eye(3)[:, :2], origin=(0.0, 0.0, 0.5))

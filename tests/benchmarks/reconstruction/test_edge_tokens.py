@@ -8,11 +8,7 @@ import pytest
 import torch
 
 from benchmarks.reconstruction.edge_decoder import decode
-from benchmarks.reconstruction.edge_sequence import (
-    canonical,
-    sequence_of,
-    tokens_of,
-)
+from benchmarks.reconstruction.edge_sequence import canonical, sequence_of, tokens_of
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.models.edge_tokens import SMALL, EdgeTokens, build
 from benchmarks.reconstruction.panel_targets import PanelTargets, patterns_from

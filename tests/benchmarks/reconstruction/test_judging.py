@@ -14,25 +14,15 @@ from benchmarks.reconstruction.judging import Patterns, draw_mesh, judge_of
 from benchmarks.reconstruction.models.baselines import box_mesh, mean_measures, nearest_labels, nearest_measures
 from benchmarks.reconstruction.models.measures import scans_of
 from benchmarks.reconstruction.tasks import task_named
-from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.lay_plan import PALETTE
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.measurements import ANGLES, MEASURES
 from gcd_dataset.metrics import score_measures
-from gcd_dataset.records import Pattern
 from gcd_dataset.scoring.bodies import wearers_of
 from gcd_dataset.scoring.distances import read_shape
 from gcd_dataset.spec import read_pattern
 from tests.benchmarks.reconstruction.conftest import SKIRTS
 from tests.benchmarks.reconstruction.toys import small
-
-
-@pytest.fixture(scope="module")
-def skirt() -> Pattern:
-    """A pencil skirt of the neutral body, with darts."""
-    return draw_garment(measure(build_body(neutral_shape())), design_from_dict({"meta": {"bottom": "PencilSkirt"}}))
-
 
 CPU = torch.device("cpu")
 

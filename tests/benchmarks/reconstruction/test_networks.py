@@ -17,7 +17,7 @@ from benchmarks.reconstruction.point_net import DecoderLayer, EncoderLayer, hidi
 from benchmarks.reconstruction.train import train
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES
-from tests.benchmarks.reconstruction.toys import small
+from tests.benchmarks.reconstruction.toys import loss_of, small
 
 CPU = torch.device("cpu")
 NETWORKS = [name for name in MODELS if hasattr(load_model(name), "build")]
@@ -66,15 +66,9 @@ def test_garments_have_a_point_for_each_token(model: str, six: GarmentSet) -> No
         small(model).prepare(few, device=torch.device("cpu"))
 
 
-def test_networks_of_pictures_have_no_sizes_of_points() -> None:
-    model = "picture_parameters"
-    with pytest.raises(ConfigError, match="no size region_width"):
-        small(model, region_width=32)
+def test_a_size_beyond_its_limits_is_refused() -> None:
     with pytest.raises(ConfigError, match="width 36: give a multiple of 32"):
-        small(model, width=36)
-
-
-def test_a_share_of_foreign_garments_has_a_limit() -> None:
+        small("picture_parameters", width=36)
     with pytest.raises(ConfigError, match=r"foreign is 0\.5: give a share"):
         small("stitches", foreign=0.5)
 
@@ -97,13 +91,7 @@ def pictured(six: GarmentSet) -> GarmentSet:
 
 
 def network(model: str) -> Learner[Any, Any]:
-    torch.manual_seed(0)
     return small(model, **SIZES[model])
-
-
-def loss_of(learner: Learner[Any, Any], batch: Any) -> float:
-    with torch.no_grad():
-        return float(sum(part.item() for part in learner.loss(batch).values()))
 
 
 @pytest.mark.parametrize("model", SIZES)
@@ -148,32 +136,25 @@ def gradients(network: nn.Module, found: Tensor) -> list[Tensor]:
     return list(torch.autograd.grad(found.square().sum(), list(network.parameters())))
 
 
-def test_tokens_attend_to_each_other_as_in_torch() -> None:
+@pytest.mark.parametrize(
+    ("layer", "peer", "mask"),
+    [
+        (EncoderLayer, nn.TransformerEncoderLayer, "src_key_padding_mask"),
+        (DecoderLayer, nn.TransformerDecoderLayer, "tgt_key_padding_mask"),
+    ],
+)
+def test_tokens_attend_to_each_other_and_to_others_as_in_torch(layer: Any, peer: Any, mask: str) -> None:
     torch.manual_seed(0)
-    own, theirs = EncoderLayer(32, 4, 64), nn.TransformerEncoderLayer(32, 4, 64, **OPTIONS)  # type: ignore[arg-type]
+    own, theirs = layer(32, 4, 64), peer(32, 4, 64, **OPTIONS)
     theirs.load_state_dict(own.state_dict())
-    tokens, hidden = torch.randn(3, 7, 32), torch.rand(3, 7) < 0.4
+    hidden = torch.rand(3, 7) < 0.4
     hidden[:, 0] = False
-    ours = own(tokens, src_key_padding_mask=hiding(hidden))
-    peer = theirs(tokens, src_key_padding_mask=hidden)
-    assert torch.allclose(ours, peer, atol=1e-5)
-    pairs = zip(gradients(own, ours), gradients(theirs, peer), strict=True)
+    tokens = [torch.randn(3, 7, 32)] if layer is EncoderLayer else [torch.randn(3, 7, 32), torch.randn(3, 5, 32)]
+    ours, expected = own(*tokens, **{mask: hiding(hidden)}), theirs(*tokens, **{mask: hidden})
+    assert torch.allclose(ours, expected, atol=1e-5)
+    pairs = zip(gradients(own, ours), gradients(theirs, expected), strict=True)
     assert all(torch.allclose(one, other, atol=1e-4) for one, other in pairs)
-    assert torch.allclose(own(tokens), theirs(tokens), atol=1e-5)
-
-
-def test_tokens_attend_to_others_as_in_torch() -> None:
-    torch.manual_seed(0)
-    own, theirs = DecoderLayer(32, 4, 64), nn.TransformerDecoderLayer(32, 4, 64, **OPTIONS)  # type: ignore[arg-type]
-    theirs.load_state_dict(own.state_dict())
-    tokens, others, hidden = torch.randn(3, 7, 32), torch.randn(3, 5, 32), torch.rand(3, 7) < 0.4
-    hidden[:, 0] = False
-    ours = own(tokens, others, tgt_key_padding_mask=hiding(hidden))
-    peer = theirs(tokens, others, tgt_key_padding_mask=hidden)
-    assert torch.allclose(ours, peer, atol=1e-5)
-    pairs = zip(gradients(own, ours), gradients(theirs, peer), strict=True)
-    assert all(torch.allclose(one, other, atol=1e-4) for one, other in pairs)
-    assert torch.allclose(own(tokens, others), theirs(tokens, others), atol=1e-5)
+    assert torch.allclose(own(*tokens), theirs(*tokens), atol=1e-5)
 
 
 def test_costs_that_are_no_numbers_are_avoided() -> None:

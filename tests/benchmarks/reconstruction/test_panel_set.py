@@ -18,6 +18,7 @@ from gcd_dataset.faults import Rule, Severity, check_pattern
 from gcd_dataset.metrics import mean_scores, score_pattern
 from gcd_dataset.records import Panel, Pattern
 from tests.benchmarks.reconstruction.conftest import shuffled, started_elsewhere
+from tests.benchmarks.reconstruction.toys import loss_of
 from tests.generator.mesh.shapes import panel, rectangle
 
 CPU = torch.device("cpu")
@@ -31,11 +32,6 @@ def learner(**sizes: int) -> PanelSet:
 @pytest.fixture(scope="module")
 def targets(six: GarmentSet) -> PanelTargets:
     return learner().prepare(six, device=CPU).whole
-
-
-def loss_of(network: PanelSet, true: PanelTargets) -> float:
-    with torch.no_grad():
-        return float(sum(part.item() for part in network.loss(true).values()))
 
 
 @pytest.mark.parametrize("change", [shuffled, started_elsewhere])

@@ -14,7 +14,7 @@ from benchmarks.reconstruction.derived import CENTRE, DERIVED, derived_arrays
 from benchmarks.reconstruction.design_codes import PARAMETERS, decode_design, encode_design, have_effect, options_of
 from benchmarks.reconstruction.design_net import Answer, DesignAugmentation, DesignTargets, drawn
 from benchmarks.reconstruction.garments import GarmentSet, Ragged
-from benchmarks.reconstruction.models.parameters import MOST_GROWTH, SMALL, Designs, ParameterNet, build
+from benchmarks.reconstruction.models.parameters import MOST_GROWTH, SMALL, ParameterNet, build
 from benchmarks.reconstruction.panel_targets import UNIT
 from benchmarks.reconstruction.propose import WEIGHTS, network
 from gcd_dataset.curves import sample_curve
@@ -30,6 +30,7 @@ from gcd_dataset.metrics.answers import PANEL_CLASSES
 from gcd_dataset.records import Pattern
 from gcd_dataset.scoring.inputs import POINTS, SCAN_SIZE
 from gcd_dataset.tensors import EDGE_LABELS
+from tests.benchmarks.reconstruction.toys import loss_of
 
 CPU = torch.device("cpu")
 PATHS = [leaf.path for leaf in PARAMETERS]
@@ -38,11 +39,6 @@ PATHS = [leaf.path for leaf in PARAMETERS]
 def learner(**sizes: int) -> ParameterNet:
     torch.manual_seed(0)
     return build({**SMALL, "points": 128, "stored_points": 512, "tokens": 16, **sizes})
-
-
-def loss_of(network: ParameterNet, batch: Designs) -> float:
-    with torch.no_grad():
-        return float(sum(part.item() for part in network.loss(batch).values()))
 
 
 def test_the_true_parameters_and_measures_draw_the_true_pattern(six: GarmentSet) -> None:
@@ -79,7 +75,8 @@ def test_numbers_are_told_the_choices(six: GarmentSet) -> None:
 
 def test_any_numbers_draw_a_garment_that_can_be_sewn() -> None:
     rng = np.random.default_rng(0)
-    usual = np.array([neutral()[name] for name in MEASURES])
+    neutral = measure(build_body(neutral_shape())).to_file_values()
+    usual = np.array([neutral[name] for name in MEASURES])
     for _ in range(12):
         codes = np.array([
             rng.integers(9) if isinstance(space, Choice) else rng.uniform(*(np.array(space.range) * 1.2))
@@ -88,10 +85,6 @@ def test_any_numbers_draw_a_garment_that_can_be_sewn() -> None:
         pattern = drawn(Answer(codes, usual * rng.uniform(0.6, 1.5, len(usual)), usual))
         assert pattern.panels
         assert not [fault for fault in check_pattern(pattern) if fault.severity is Severity.ERROR]
-
-
-def neutral() -> dict[str, float]:
-    return measure(build_body(neutral_shape())).to_file_values()
 
 
 def test_answers_before_training_exist_and_do_not_depend_on_their_batch(six: GarmentSet) -> None:
@@ -157,9 +150,8 @@ def test_mirrored_codes_draw_the_mirror_image() -> None:
         if augmentation.can_mirror(targets).item():
             codes = augmentation.mirrored(targets, torch.tensor([True])).codes[0].numpy()
             bottom = plain(design.meta.bottom)
-            assert apart(outline(draw_garment(sizes, decode_design(codes))), image) < (
-                1.1 if bottom == "GodetSkirt" else 0.5
-            )
+            limit = 1.1 if bottom == "GodetSkirt" else 0.5
+            assert apart(outline(draw_garment(sizes, decode_design(codes))), image) < limit
             kinds.add(bottom)
             cuts += bool(targets.effective[0, PATHS.index("flare-skirt.cut.place")])
         else:

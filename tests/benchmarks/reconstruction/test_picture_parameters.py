@@ -1,7 +1,6 @@
 """The network of task T2: what their batches hold, and that they learn from pictures."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,18 +31,13 @@ def painted(six: GarmentSet) -> GarmentSet:
     return replace(six, ragged={**six.ragged, "pictures": Ragged.of(shades), "shown": Ragged.of(shown)})
 
 
-def learner(**sizes: int) -> Any:
-    torch.manual_seed(0)
-    return small("picture_parameters", **sizes)
-
-
 def shades(pictures: torch.Tensor) -> list[int]:
     return pictures[0, :, 0, 0, 0].tolist()
 
 
 def test_each_step_draws_other_pictures(painted: GarmentSet, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(picture_model, "distorted", lambda pictures, shown, numbers: (pictures, shown))
-    examples = learner(views=3).prepare(painted, device=CPU)
+    examples = small("picture_parameters", views=3).prepare(painted, device=CPU)
     assert np.shares_memory(examples.whole.pictures.numpy(), painted.ragged["pictures"].rows)  # 786 kB a garment
     assert shades(examples.batch(torch.tensor([2])).pictures) == [20, 80, 140]
     drawn = [examples.batch(torch.tensor([2]), torch.Generator().manual_seed(k)).pictures for k in (1, 1, 2, 3, 4)]
@@ -64,7 +58,8 @@ def test_mirrored_garments_have_mirrored_pictures(painted: GarmentSet, monkeypat
     designs = [code[None]] * 4 + [halves[None]] * (count - 4)
     ragged = {"pictures": [picture] * count, "shown": [shown] * count, "design": designs}
     made = replace(painted, ragged={**painted.ragged, **{name: Ragged.of(rows) for name, rows in ragged.items()}})
-    batch = learner(augmented=1).prepare(made, device=CPU).batch(torch.arange(count), torch.Generator().manual_seed(0))
+    examples = small("picture_parameters", augmented=1).prepare(made, device=CPU)
+    batch = examples.batch(torch.arange(count), torch.Generator().manual_seed(0))
     mirrored = batch.pictures[:, 0, 0, 0, 0] == 0
     assert 0 < mirrored[:4].sum() < 4
     assert not mirrored[4:].any()  # whose halves differ
@@ -80,7 +75,7 @@ def test_mirrored_garments_have_mirrored_pictures(painted: GarmentSet, monkeypat
 
 
 def test_pictures_are_distorted_alike_in_any_batch(painted: GarmentSet) -> None:
-    examples = learner().prepare(painted, device=CPU)
+    examples = small("picture_parameters").prepare(painted, device=CPU)
     whole, part = (examples.batch(torch.tensor(rows), torch.Generator().manual_seed(0)) for rows in ([4, 1, 2], [1]))
     assert torch.equal(whole.pictures[1:2], part.pictures)
     assert not torch.equal(part.pictures, examples.batch(torch.tensor([1]), torch.Generator().manual_seed(1)).pictures)

@@ -19,21 +19,8 @@ from gcd_dataset.spec import write_pattern
 from tests.benchmarks.reconstruction.toys import t_shirt
 
 SPLIT = "GarmentCodeData_v2_official_train_valid_test_data_split.json"
-SEAMS = [
-    "--model",
-    "stitches",
-    "--task",
-    "T3",
-    "--smoke",
-    "--train",
-    "2",
-    "--checks",
-    "0",
-    "--test",
-    "3",
-    "--device",
-    "cpu",
-]
+SEAMS = ["--model", "stitches", "--task", "T3", "--smoke", "--device", "cpu"]
+SEAMS += ["--train", "2", "--checks", "0", "--test", "3"]
 
 
 @pytest.fixture

@@ -12,11 +12,7 @@ from benchmarks.reconstruction.stitching.losses import revealed
 from benchmarks.reconstruction.stitching.merging import aligned, glued, merged, split
 from benchmarks.reconstruction.stitching.net import StitchNet
 from benchmarks.reconstruction.stitching.placing import exchanged, placed
-from benchmarks.reconstruction.stitching.scores import (
-    congruences,
-    score_intervals,
-    score_stitches,
-)
+from benchmarks.reconstruction.stitching.scores import congruences, score_intervals, score_stitches
 from benchmarks.reconstruction.stitching.sewing import best_pairs, predict_cuts, sew
 from gcd_dataset.faults import check_pattern
 from gcd_dataset.records import EdgeRef, Pattern, Placement, Seam
@@ -146,9 +142,8 @@ def test_two_halves_that_a_straight_seam_joins_become_the_whole_panel() -> None:
     both = graph_of(Pattern("p", (left, right, belt), seams))
     assert len(glued(both, np.random.default_rng(0), share=1.0).lengths) == 8
     assert len(glued(both, np.random.default_rng(0), share=0.0).lengths) == 12
-    assert (
-        glued(graph_of(t_shirt()), np.random.default_rng(0), share=0.0).partners == graph_of(t_shirt()).partners
-    ).all()
+    shirt = graph_of(t_shirt())
+    assert (glued(shirt, np.random.default_rng(0), share=0.0).partners == shirt.partners).all()
 
 
 def test_needless_cuts_are_taken_back() -> None:

@@ -16,13 +16,7 @@ from benchmarks.reconstruction.models.drape_surrogate import build as build_surr
 from benchmarks.reconstruction.models.drape_surrogate import depth, nearest_skin
 from benchmarks.reconstruction.models.segmentation import SMALL, build, set_loss
 from benchmarks.reconstruction.surface_net import of_neighbours
-from benchmarks.reconstruction.surfaces import (
-    NEIGHBOURS,
-    SurfaceArrays,
-    SurfaceStore,
-    drawn_turn,
-    surface_of,
-)
+from benchmarks.reconstruction.surfaces import NEIGHBOURS, SurfaceStore, drawn_turn, surface_of
 from gcd_dataset.metrics import TrueLabels, VertexLabels, VertexScore, score_labels
 from gcd_dataset.metrics.answers import PANEL_CLASSES, panel_class
 from gcd_dataset.tensors import EDGE_LABELS
@@ -130,15 +124,11 @@ def test_a_vertex_of_many_neighbours_keeps_the_nearest() -> None:
     knows_centre = (found.neighbours == 0).any(axis=1)
     assert knows_centre[1 : NEIGHBOURS + 1].all()
     assert not knows_centre[NEIGHBOURS + 1 :].any()
-    assert_reverse_edges(found)
-
-
-def assert_reverse_edges(surface: SurfaceArrays) -> None:
-    entries = surface.reverse.ravel()
+    entries = found.reverse.ravel()
     assert np.array_equal(np.sort(entries), np.arange(len(entries)))
-    own = np.repeat(np.arange(len(surface.neighbours)), NEIGHBOURS)
-    assert np.array_equal(surface.neighbours.ravel()[entries], own)
-    assert surface.lengths.ravel()[entries] == pytest.approx(surface.lengths.ravel())
+    own = np.repeat(np.arange(len(found.neighbours)), NEIGHBOURS)
+    assert np.array_equal(found.neighbours.ravel()[entries], own)
+    assert found.lengths.ravel()[entries] == pytest.approx(found.lengths.ravel())
 
 
 def test_the_gradient_of_neighbours_adds_up_what_each_vertex_gave() -> None:

@@ -212,16 +212,8 @@ def test_garments_of_a_folder_are_trained_on(
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["data"]["train"]["recipe"]["source"] == str(tmp_path / "garments")
     assert report["data"]["train"]["count"] == 3
-    tested = [
-        *flags,
-        "--steps",
-        "0",
-        "--weights",
-        str(tmp_path / "out" / "weights.pt"),
-        "--out",
-        str(tmp_path / "test"),
-    ]
-    assert main(tested) == 0
+    tested = ["--steps", "0", "--weights", str(tmp_path / "out" / "weights.pt"), "--out", str(tmp_path / "test")]
+    assert main([*flags, *tested]) == 0
     kept, again = (torch.load(tmp_path / name / "weights.pt", weights_only=True) for name in ("out", "test"))
     assert all(torch.equal(value, kept[name]) for name, value in again.items())
     assert json.loads((tmp_path / "test" / "report.json").read_text())["steps"] == 0

@@ -5,16 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 
-from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, named_shape, neutral_shape, read_measurements
 from gcd_dataset.generator.body.section import clipped, contour_length, girth, loose_ends, section, tape
 from gcd_dataset.generator.body.tailor import model_sites, take_measures
 from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import MEASURES, Body, BodyPart, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
-from tests.helpers import body_from
 
 
 def test_measures_do_not_depend_on_where_the_body_stands() -> None:
@@ -84,11 +81,6 @@ def test_sections_of_the_published_body_have_its_measures(published: tuple[Body,
     assert tape(back[:, [2, 1]], (-1.0, 0.0)) == pytest.approx(size.waist_line, abs=0.1)
     cut = section(body.vertices, trunk, 1, 76.77)
     assert contour_length(cut[cut[:, :, 0].mean(axis=1) < 0]) == pytest.approx(size.leg_circ, abs=0.1)
-
-
-def test_a_mesh_without_a_body_is_an_error_with_a_remedy() -> None:
-    with pytest.raises(BodyError, match=r"body: 80 triangles with an area, a body needs at least 500"):
-        measure(body_from(trimesh.creation.icosphere(subdivisions=1)))
 
 
 def test_a_branch_of_a_section_that_ends_nowhere_is_loose() -> None:

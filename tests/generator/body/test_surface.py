@@ -8,15 +8,7 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.geodesic import GeodesicGraph, graph_between
 from gcd_dataset.generator.body.measuring import narrowest_ring
 from gcd_dataset.generator.body.repair import BodyScan
-from gcd_dataset.generator.body.section import (
-    clipped,
-    contour_length,
-    girth,
-    loops,
-    rough_girths,
-    section,
-    tape,
-)
+from gcd_dataset.generator.body.section import clipped, contour_length, girth, loops, rough_girths, section, tape
 from gcd_dataset.generator.body.surface import SkinSurface, refine
 from gcd_dataset.generator.body.tailor import larger_thigh, over_back
 from tests.helpers import patch

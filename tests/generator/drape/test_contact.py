@@ -26,9 +26,8 @@ from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube, waited
 
 SLOPE = trimesh.transformations.rotation_matrix(np.radians(25.0), [0, 0, 1])
 INTERNAL = BodyPart.INTERNAL.value
-QUICK = DrapeConfig(
-    sewing_time=0.002, held_time=10.0, max_frames=10_000, braking=0.0
-)  # no garment comes to rest in these tests
+# No garment comes to rest in these tests.
+QUICK = DrapeConfig(sewing_time=0.002, held_time=10.0, max_frames=10_000, braking=0.0)
 
 
 def test_nearest_point_of_a_triangle() -> None:
@@ -73,10 +72,8 @@ def test_internal_parts_do_not_change_the_field_of_a_body() -> None:
     """Outside a ball, an eye in it or an open socket does not change the distance field."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=12.0)
     eye = trimesh.creation.icosphere(subdivisions=2, radius=4.0)
-    with_eye = body_from(trimesh.util.concatenate([ball, eye]))
-    with_eye = replace(
-        with_eye, parts=np.repeat([0, INTERNAL], [len(ball.vertices), len(eye.vertices)]).astype(np.uint8)
-    )
+    parts = np.repeat([0, INTERNAL], [len(ball.vertices), len(eye.vertices)]).astype(np.uint8)
+    with_eye = replace(body_from(trimesh.util.concatenate([ball, eye])), parts=parts)
     pole = ball.vertices[:, 2] > 11.5
     socket = replace(
         body_from(ball),

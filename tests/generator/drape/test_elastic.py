@@ -10,15 +10,7 @@ import pytest
 import warp as wp
 from scipy.optimize import brentq
 
-from benchmarks.cloth_tests import (
-    LEVEL,
-    Grain,
-    bending_length,
-    cantilever,
-    hold_fast,
-    strip,
-    strip_job,
-)
+from benchmarks.cloth_tests import LEVEL, Grain, bending_length, cantilever, hold_fast, strip, strip_job
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import (
     FABRICS,

@@ -19,21 +19,11 @@ from gcd_dataset.generator.dressing.openings import openings_of, panel_outline
 from gcd_dataset.generator.garments import design_from_dict, draw_garment
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.records import (
-    Body,
-    BodyPart,
-    Closure,
-    Edge,
-    EdgeRef,
-    Panel,
-    PanelRole,
-    Pattern,
-    Placement,
-    Seam,
-)
+from gcd_dataset.records import Body, BodyPart, Closure, Edge, EdgeRef, Panel, PanelRole, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern
 from tests.generator.drape.garments import neutral
-from tests.generator.mesh.test_box_mesh import EXAMPLES
+from tests.generator.garments.measured import EXAMPLES
+from tests.helpers import renamed
 
 UNPLACED = Placement(np.zeros(3), np.zeros(3))
 HELD = ("left_collar", "right_collar", "strapless_top")
@@ -235,18 +225,12 @@ def shifted(pattern: Pattern, *by: float) -> Pattern:
     return replace(pattern, panels=tuple(moved(panel, np.array(by)) for panel in pattern.panels))
 
 
-def renamed(pattern: Pattern, prefix: str) -> Pattern:
-    names = {panel.name: f"{prefix}_{number}" for number, panel in enumerate(pattern.panels)}
-    panels = tuple(replace(panel, name=names[panel.name]) for panel in pattern.panels)
-    seams = tuple(
-        replace(s, left=EdgeRef(names[s.left.panel], s.left.edge), right=EdgeRef(names[s.right.panel], s.right.edge))
-        for s in pattern.seams
-    )
-    return replace(pattern, panels=panels, seams=seams)
+def numbered(pattern: Pattern, prefix: str) -> Pattern:
+    return renamed(pattern, {panel.name: f"{prefix}_{number}" for number, panel in enumerate(pattern.panels)})
 
 
 def nameless(pattern: Pattern) -> Pattern:
-    return renamed(bared(pattern), "piece")
+    return numbered(bared(pattern), "piece")
 
 
 @pytest.fixture(scope="module")
@@ -280,7 +264,7 @@ def test_a_frame_at_the_pelvis_at_the_neck_or_beside_the_body_is_recognised(
 
 def side_by_side(pattern: Pattern) -> Pattern:
     """One for each leg."""
-    right, left = (renamed(shifted(pattern, x, 0, 0), side) for x, side in ((-10.0, "right"), (10.0, "left")))
+    right, left = (numbered(shifted(pattern, x, 0, 0), side) for x, side in ((-10.0, "right"), (10.0, "left")))
     return Pattern("pair", right.panels + left.panels, right.seams + left.seams)
 
 

@@ -15,6 +15,11 @@ from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern, Seam
 
 BOTH = ("skirt_front", "skirt_back")
 TORSOS = ("right_ftorso", "left_ftorso", "right_btorso", "left_btorso")
+EXAMPLES = (
+    "asymm_circle_skirt_lapel_dress", "asymmetric_top", "circle_skirt", "dress", "fitted_shirt", "godet_skirt",
+    "jumpsuit", "levels_skirt", "pants_cuff", "pencil_skirt", "shirt_sleeves_hood", "strapless_dress",
+)  # fmt: skip
+"""Designs of the reference, each with its pattern on two bodies."""
 
 
 def skirt(

@@ -41,7 +41,7 @@ from gcd_dataset.generator.pattern import assemble
 from gcd_dataset.records import EdgeRef, Measurements, Pattern, Seam
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
 from tests.generator.garments.conftest import DESIGNS, WOMAN
-from tests.generator.garments.measured import contour, length, lengths, ref_length
+from tests.generator.garments.measured import EXAMPLES, contour, length, lengths, ref_length
 
 FRONT_OR_BACK = re.compile(r"_(front|back|f|b|ftorso|btorso)(?:_|$)")
 GATHERED = {"top", "bottom", "end", "opening", "armhole", "hip", "right_hip", "left_hip"}
@@ -173,10 +173,6 @@ def test_at_most_a_tenth_of_random_designs_is_rejected(wearer: Measurements) -> 
     assert sum(isinstance(try_on(wearer, design), Reject) for design in drawn) <= 1
 
 
-EXAMPLES = (
-    "asymm_circle_skirt_lapel_dress", "asymmetric_top", "circle_skirt", "dress", "fitted_shirt", "godet_skirt",
-    "jumpsuit", "levels_skirt", "pants_cuff", "pencil_skirt", "shirt_sleeves_hood", "strapless_dress",
-)  # fmt: skip
 EXACT = 0.01  # cm between closed forms and the reference's solvers
 FITTED = {"sleeve": 0.5, "cuff": 0.5, "hood": 0.3, "pant": 0.1}  # cm: the reference's minimisers stop early
 PLACED = 1.7  # cm: the reference shifts a panel by the fractional part of its first corner (a truncated pivot)

@@ -249,39 +249,6 @@ def test_an_excluded_default_loses_its_probability_or_becomes_the_nearest_value(
     assert np.mean([design.shirt.length == 2.0 for design in kept]) == pytest.approx(0.5, abs=0.12)
 
 
-BAD = {
-    "[pants]\nlenght = 0.5": r"no design parameter is called pants\.lenght: did you mean pants\.length\?",
-    "[pnats]\nlength = 0.5": r"is called pnats: did you mean pants\?",
-    "pants = 3": r"pants is 3, not a table of parameters",
-    "[pants]\nlength = 0.95": r"pants\.length is 0\.95, not a number from 0\.2 to 0\.9",
-    "[pants]\nlength = 'long'": r"pants\.length is 'long', not a number",
-    "[pants]\nlength = { range = [0.1, 0.5] }": r"pants\.length is 0\.1, not a number from 0\.2 to 0\.9",
-    "[pants]\nlength = { range = [0.8, 0.5] }": r"pants\.length has a range in descending .*: write \[0\.5, 0\.8\]",
-    "[pants]\nlength = { range = 0.5 }": r"pants\.length has range = 0\.5, not a list: write range = \[0\.5\]",
-    "[pants]\nlength = { options = [0.5] }": r"pants\.length takes no options: .*, so give range, keep, or a value",
-    "[pants]\nlength = { rnage = [0.5, 0.6] }": r"pants\.length takes no rnage",
-    "[pants]\nlength = { keep = 1.5 }": r"pants\.length has keep = 1\.5, not a probability from 0 to 1",
-    "[pants]\nlength = { range = [0.3, 0.3], keep = 0 }": r"pants\.length has no value left",
-    "[sleeve]\nsleeve_angle = { range = [10, 12.5] }": r"sleeve_angle is 12\.5, not a whole number from 10 to 50",
-    "[meta]\nbottom = 'Kilt'": r"meta\.bottom is 'Kilt', not one of SkirtCircle, .*, None",
-    "[meta]\nbottom = { options = [] }": r"meta\.bottom has no option left: name one or more",
-    "[meta]\nbottom = { options = ['none'], keep = 0 }": r"meta\.bottom has no option left: keep is 0",
-    "[meta]\nbottom = { options = ['Pants'], keep = 0.5 }": r"meta\.bottom has keep, but no option None, its default",
-    "[left]\nenable_asym = 'no'": r"left\.enable_asym is 'no', not one of True, False",
-    "[pants\nlength = 1": r"line 1, column 7.*: correct the TOML",
-}
-
-
-@pytest.mark.parametrize("text", BAD, ids=lambda text: text.replace("\n", " "))
-def test_a_bad_overlay_gives_one_line_with_its_name(text: str, tmp_path: Path) -> None:
-    file = tmp_path / "bad.toml"
-    file.write_text(text)
-    with pytest.raises(ConfigError, match=BAD[text]) as caught:
-        read_overlay(file)
-    assert str(caught.value).startswith(str(file))
-    assert "\n" not in str(caught.value)
-
-
 def test_an_overlay_without_any_garment_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"meta\.upper and meta\.bottom are both none"):
         Overlay.from_dict({"meta": {"upper": "none", "bottom": "none"}})
@@ -419,6 +386,27 @@ def test_names_and_values_beyond_number_end_at_once() -> None:
         design_from_dict({"meta": {"upper": "Shirt"}, **dict.fromkeys(map(str, range(100)), entry(0)), "zzz": 1})
 
 
+BAD_OVERLAYS = {
+    "[pants]\nlenght = 0.5": r"no design parameter is called pants\.lenght: did you mean pants\.length\?",
+    "[pnats]\nlength = 0.5": r"is called pnats: did you mean pants\?",
+    "pants = 3": r"pants is 3, not a table of parameters",
+    "[pants]\nlength = 0.95": r"pants\.length is 0\.95, not a number from 0\.2 to 0\.9",
+    "[pants]\nlength = 'long'": r"pants\.length is 'long', not a number",
+    "[pants]\nlength = { range = [0.1, 0.5] }": r"pants\.length is 0\.1, not a number from 0\.2 to 0\.9",
+    "[pants]\nlength = { range = [0.8, 0.5] }": r"pants\.length has a range in descending .*: write \[0\.5, 0\.8\]",
+    "[pants]\nlength = { range = 0.5 }": r"pants\.length has range = 0\.5, not a list: write range = \[0\.5\]",
+    "[pants]\nlength = { options = [0.5] }": r"pants\.length takes no options: .*, so give range, keep, or a value",
+    "[pants]\nlength = { rnage = [0.5, 0.6] }": r"pants\.length takes no rnage",
+    "[pants]\nlength = { keep = 1.5 }": r"pants\.length has keep = 1\.5, not a probability from 0 to 1",
+    "[pants]\nlength = { range = [0.3, 0.3], keep = 0 }": r"pants\.length has no value left",
+    "[sleeve]\nsleeve_angle = { range = [10, 12.5] }": r"sleeve_angle is 12\.5, not a whole number from 10 to 50",
+    "[meta]\nbottom = 'Kilt'": r"meta\.bottom is 'Kilt', not one of SkirtCircle, .*, None",
+    "[meta]\nbottom = { options = [] }": r"meta\.bottom has no option left: name one or more",
+    "[meta]\nbottom = { options = ['none'], keep = 0 }": r"meta\.bottom has no option left: keep is 0",
+    "[meta]\nbottom = { options = ['Pants'], keep = 0.5 }": r"meta\.bottom has keep, but no option None, its default",
+    "[left]\nenable_asym = 'no'": r"left\.enable_asym is 'no', not one of True, False",
+    "[pants\nlength = 1": r"line 1, column 7.*: correct the TOML",
+}
 BAD_FILES = {
     "design:\n  shirt:\n    suns: {v: 1.0}": r"called shirt\.suns: did you mean flare-skirt\.suns\?",
     "design:\n  zzz: {v: 1.0}": r"called zzz: there are meta, waistband",
@@ -435,11 +423,11 @@ BAD_FILES = {
 }
 
 
-@pytest.mark.parametrize("text", BAD_FILES, ids=lambda text: text[:40])
-def test_a_bad_file_gives_one_line_with_its_name(text: str, tmp_path: Path) -> None:
-    file = tmp_path / "bad.yaml"
+@pytest.mark.parametrize("text", [*BAD_OVERLAYS, *BAD_FILES], ids=lambda text: text[:40].replace("\n", " "))
+def test_a_bad_overlay_or_design_file_gives_one_line_with_its_name(text: str, tmp_path: Path) -> None:
+    file, read = (tmp_path / "bad.toml", read_overlay) if text in BAD_OVERLAYS else (tmp_path / "bad.yaml", read_design)
     file.write_text(text)
-    with pytest.raises(ConfigError, match=BAD_FILES[text]) as caught:
-        read_design(file)
+    with pytest.raises(ConfigError, match=(BAD_OVERLAYS | BAD_FILES)[text]) as caught:
+        read(file)
     assert str(caught.value).startswith(str(file))
     assert "\n" not in str(caught.value)

@@ -24,6 +24,7 @@ from gcd_dataset.meshedges import mesh_edges
 from gcd_dataset.records import BoxMesh, Closure, Panel, Pattern
 from gcd_dataset.spec import read_pattern
 from tests.generator.garments.conftest import DESIGNS, DRESS, WOMAN
+from tests.generator.garments.measured import EXAMPLES
 from tests.generator.mesh.shapes import (
     angles,
     areas,
@@ -349,10 +350,6 @@ def test_the_faces_of_a_moebius_strip_disagree_in_one_seam(caplog: pytest.LogCap
     assert sum(set(edges.ravel().tolist()) <= vertices for vertices in on_seam) == 1
 
 
-EXAMPLES = (
-    "asymm_circle_skirt_lapel_dress", "asymmetric_top", "circle_skirt", "dress", "fitted_shirt", "godet_skirt",
-    "jumpsuit", "levels_skirt", "pants_cuff", "pencil_skirt", "shirt_sleeves_hood", "strapless_dress",
-)  # fmt: skip
 MESHES = {
     "dress_pencil": "dress_pencil_specification.json",
     **{

@@ -7,14 +7,8 @@ import pytest
 
 from gcd_dataset.curves import Arc, Cubic, Curve
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.stitch import (
-    SewnPoints,
-    edge_counts,
-    merge_points,
-    sample_border,
-    stitch_points,
-)
-from gcd_dataset.records import Closure, Edge, EdgeRef, Panel, Placement, Seam
+from gcd_dataset.generator.mesh.stitch import SewnPoints, edge_counts, merge_points, sample_border, stitch_points
+from gcd_dataset.records import Closure, Edge, EdgeRef, Panel, Placement
 from tests.generator.mesh.shapes import panel, rectangle, seam, sewn
 
 
@@ -102,27 +96,15 @@ def test_a_seam_that_closes_on_itself_is_an_error() -> None:
         merge_points(replace(sewn, seam=sewn.seam + 1), points(0, 0, 0, 1, 1, 1), behind)
 
 
-def two_points_of_a_joined_through_b() -> tuple[tuple[Seam, ...], SewnPoints]:
-    """Points 0-1 and 2-3 of panel a are both sewn to 4 of panel b, which brings 1 and 2 together."""
-    seams = (seam(A, B), seam(("a", 1), ("b", 1)))
-    return seams, stitch_points(seams, [(points(0, 1), points(4, 5)), (points(2, 3), points(6, 4))])
+def test_two_points_of_a_panel_are_joined_through_another_only_at_a_dart() -> None:
+    """Points 0-1 and 2-3 of panel a are both sewn to 4 of panel b, which brings 1 and 2 together.
 
-
-def test_a_panel_joined_to_itself_without_a_dart_is_an_error() -> None:
-    seams, sewn = two_points_of_a_joined_through_b()
+    That is an error, unless 1 and 2 are also the mouth of a dart 1-7-2 within panel a.
+    """
+    seams = (seam(A, B), seam(("a", 1), ("b", 1)), seam(("a", 2), ("a", 3)))
+    ends = [(points(0, 1), points(4, 5)), (points(2, 3), points(6, 4)), (points(1, 7), points(7, 2))]
     with pytest.raises(MeshError, match=r"seam 1 \(a edge 1 to b edge 1\) joins two points of one panel"):
-        merge_points(sewn, points(0, 0, 0, 0, 1, 1, 1), seams)
-
-
-def test_a_dart_may_bring_points_of_a_panel_together() -> None:
-    """As in the test above, but 1 and 2 are also the mouth of a dart 1-7-2 within panel a."""
-    seams, sewn = two_points_of_a_joined_through_b()
-    dart = stitch_points((seam(("a", 2), ("a", 3)),), [(points(1, 7), points(7, 2))])
-    both = SewnPoints(
-        np.concatenate([sewn.left, dart.left]),
-        np.concatenate([sewn.right, dart.right]),
-        np.concatenate([sewn.seam, dart.seam + 2]),
-    )
-    vertex = merge_points(both, points(0, 0, 0, 0, 1, 1, 1, 0), (*seams, seam(("a", 2), ("a", 3))))
+        merge_points(stitch_points(seams[:2], ends[:2]), points(0, 0, 0, 0, 1, 1, 1), seams[:2])
+    vertex = merge_points(stitch_points(seams, ends), points(0, 0, 0, 0, 1, 1, 1, 0), seams)
     assert vertex[1] == vertex[2] == vertex[4]
     assert vertex[7] not in vertex[:7]

@@ -11,15 +11,7 @@ from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.device import launch_lock
 from gcd_dataset.generator.mesh.triangulate import LONGEST, triangulator
 from gcd_dataset.meshedges import mesh_edges
-from tests.generator.mesh.shapes import (
-    angles,
-    areas,
-    directed_edges,
-    loop,
-    rectangle,
-    sides,
-    star,
-)
+from tests.generator.mesh.shapes import angles, areas, directed_edges, loop, rectangle, sides, star
 
 NARROW_SLIT = [(0.0, 0.0), (20.0, 0.0), (20.0, 8.0), (4.0, 8.05), (20.0, 8.1), (20.0, 16.0), (0.0, 16.0)]
 """A slit from the right edge nearly to the left, narrower than the spacing of its points."""

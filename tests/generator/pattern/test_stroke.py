@@ -96,15 +96,6 @@ def test_control_points_equal_the_references() -> None:
     assert crotch.control == pytest.approx((0.8846, -0.3195), abs=1e-4)
 
 
-def test_tangents_that_do_not_cross_are_refused() -> None:
-    with pytest.raises(PatternError, match="do not cross"):
-        tangent_quadratic((0.0, 0.0), (0.0, 10.0), start_tangent=(1.0, 1.0), end_tangent=(1.0, 1.0))
-    with pytest.raises(PatternError, match="one point twice"):
-        tangent_quadratic(START, START, start_tangent=UP)
-    with pytest.raises(PatternError, match="needs one"):
-        tangent_quadratic(START, END)
-
-
 DOWN = (0.0, -1.0)
 
 
@@ -143,14 +134,6 @@ def test_an_impossible_length_is_an_error() -> None:
 def rectangle(*, clockwise: bool = False) -> Outline:
     drawn = Outline.start(0, 0).line(60, 0, name="hem").line(60, 40, name="side").line(0, 40, name="top")
     return drawn.close().mirrored() if clockwise else drawn.close()
-
-
-def test_a_divided_edge_cannot_be_looked_up_as_one() -> None:
-    hem = rectangle().edge("hem")
-    divided = rectangle().with_strokes((hem,), hem.split([0.5]))
-    assert [piece.length for piece in divided.run("hem")] == pytest.approx([30.0, 30.0])
-    with pytest.raises(PatternError, match="divided into 2 pieces"):
-        divided.edge("hem")
 
 
 LENGTHS = st.lists(st.floats(0.1, 100.0), min_size=1, max_size=5)
@@ -273,10 +256,14 @@ WRONG: dict[str, Callable[[], object]] = {
         rectangle(), "side", "top", (Stroke((0.0, 0.0), (-10.0, 45.0)),)
     ),
     r"an opening of 90\.00 cm does not fit": lambda: cut_end(rectangle(), "hem", notch(90.0, 3.0), last=True),
+    "divided into 2 pieces": lambda: cut_into(rectangle(), "hem", notch(4.0, 10.0), at=20.0).edge("hem"),
+    "do not cross": lambda: tangent_quadratic((0.0, 0.0), (0.0, 9.0), start_tangent=(1.0, 1.0), end_tangent=(1.0, 1.0)),
+    "one point twice": lambda: tangent_quadratic(START, START, start_tangent=UP),
+    "needs one": lambda: tangent_quadratic(START, END),
 }
 
 
 @pytest.mark.parametrize("message", WRONG)
-def test_a_cut_that_does_not_fit_is_an_error(message: str) -> None:
+def test_what_cannot_be_drawn_or_cut_is_an_error(message: str) -> None:
     with pytest.raises(PatternError, match=message):
         WRONG[message]()

@@ -13,6 +13,7 @@ from gcd_dataset.generator.render.cameras import FIXED_DISTANCE, FIXED_MARGIN
 from gcd_dataset.generator.render.plain import SIDES, plain_view, start_plain
 from gcd_dataset.generator.render.scene import figure_scene
 from gcd_dataset.records import BoxMesh
+from tests.generator.test_drawing import is_paper
 from tests.helpers import body_from, joined, patch
 
 BALL = body_from(trimesh.creation.icosphere(subdivisions=3, radius=5.0))
@@ -21,10 +22,6 @@ BALL = body_from(trimesh.creation.icosphere(subdivisions=3, radius=5.0))
 def apron() -> BoxMesh:
     """Two panels before the ball: the first, blue, at the wearer's left, the second, orange, at the right."""
     return joined(patch(6, 12, spacing=2.0, origin=(0.0, -12.0, 8.0)), patch(6, 12, spacing=2.0, origin=(-12, -12, 8)))
-
-
-def is_paper(picture: np.ndarray) -> np.ndarray:
-    return np.abs(picture.astype(int) - PAPER).max(axis=2) <= 1
 
 
 def test_a_ball_fills_its_circle() -> None:

@@ -20,15 +20,7 @@ from gcd_dataset.generator.render import (
     sketches,
 )
 from gcd_dataset.generator.render.sketches import HEM_STITCH, INSIDE, NOBODY, PIXELS, WIDTHS
-from gcd_dataset.generator.render.strokes import (
-    SketchLine,
-    by_hand,
-    chains,
-    draw_strokes,
-    level_lines,
-    linked,
-    valleys,
-)
+from gcd_dataset.generator.render.strokes import SketchLine, by_hand, chains, draw_strokes, level_lines, linked, valleys
 from gcd_dataset.records import BoxMesh
 from tests.generator.render.scenes import hung_patch, open_napkins
 from tests.helpers import far_ball, joined, patch
