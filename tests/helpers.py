@@ -1,6 +1,7 @@
-"""Shapes with known answers."""
+"""Shapes with known answers, changed records and files, and a wait for other processes."""
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -132,3 +133,10 @@ def flip(path: Path, place: int, *, after: bytes = b"") -> None:
     content = bytearray(path.read_bytes())
     content[content.index(after) + place] ^= 1
     path.write_bytes(content)
+
+
+def wait_until(holds: Callable[[], bool], *, seconds: float = 90.0) -> None:
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end, f"not within {seconds:.0f} s"
+        time.sleep(0.1)

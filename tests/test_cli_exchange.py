@@ -4,29 +4,29 @@ import contextlib
 import errno
 import io
 import itertools
-import json
 import os
 import shutil
 import signal
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from gcd_dataset import Progress, convert
+from gcd_dataset import convert
 from gcd_dataset.exports.published import export_published, exported_splits, garment_type
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
-from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Outcome
 from gcd_dataset.release.published_names import ENDINGS
-from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.hdf5 import write_hdf5
 from tests.helpers import as_draped, parts
+from tests.making.conftest import stopped
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
-from tests.shards.folders import contents, fill, open_writer
+from tests.shards.folders import contents, fill, write_samples
 from tests.test_cli import run
 
 
@@ -72,17 +72,12 @@ def test_converted_shards_equal_the_published_files(published: Path, converted: 
 
 
 def test_a_stopped_conversion_goes_on_to_the_same_bytes(published: Path, converted: Path, tmp_path: Path) -> None:
-    def stop(progress: Progress) -> None:
-        if progress.made == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        convert(published, tmp_path / "pieces", on_progress=stop)
+    stopped(partial(convert, published, tmp_path / "pieces"), after=3)
     assert run("convert", published, tmp_path / "pieces", "--quiet") == 0
     assert contents(tmp_path / "pieces") == contents(converted)
 
 
-def test_a_conversion_of_more_garments_or_of_other_bodies_needs_another_folder(
+def test_a_conversion_of_more_garments_of_other_bodies_or_beside_another_data_set_needs_another_folder(
     published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("convert", published, tmp_path / "out", "--quiet", "--bodies", "random") == 0
@@ -91,6 +86,8 @@ def test_a_conversion_of_more_garments_or_of_other_bodies_needs_another_folder(
     assert "asked for 6: choose another folder" in capsys.readouterr().err
     assert run("convert", published, tmp_path / "out", "--quiet", "--bodies", "default") == 2
     assert "not a shard of this data set" in capsys.readouterr().err
+    assert run("convert", published, fill(tmp_path / "other", range(2)), "--quiet") == 2
+    assert "use the same or another folder" in capsys.readouterr().err
 
 
 def test_a_broken_garment_is_left_out_and_reported(
@@ -106,14 +103,6 @@ def test_a_broken_garment_is_left_out_and_reported(
     assert "1 garments were skipped; the same command tries them again" in error
     assert run("convert", root, tmp_path / "out", "--quiet") == 0  # downloaded again, as it is packed
     assert len(GarmentDataset(tmp_path / "out")) == 4
-
-
-def test_a_folder_of_another_data_set_is_not_added_to(
-    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    fill(tmp_path, range(2))
-    assert run("convert", published, tmp_path, "--quiet") == 2
-    assert "use the same or another folder" in capsys.readouterr().err
 
 
 def test_shards_to_the_published_layout_and_back(published: Path, exported: Path) -> None:
@@ -134,9 +123,7 @@ def test_generated_garments_are_published_under_names_of_their_own(tmp_path: Pat
     config = MakeConfig(bodies="both", stage="mesh", resolution=8.0, points=16)
     outcomes = (Outcome.SETTLED, Outcome.SETTLED, Outcome.THROUGH_BODY, Outcome.SETTLED)
     samples = [as_draped(make(3, index, config), outcome) for index, outcome in enumerate(outcomes)]
-    with ShardWriter(tmp_path / "shards", seed=3, recipe=recipe_of(config)) as writer:
-        for sample in samples:
-            writer.write(sample)
+    write_samples(tmp_path / "shards", samples, seed=3, recipe=recipe_of(config))
     assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "out", "--quiet") == 0
     published = PublishedGarmentCodeData(tmp_path / "out")
     assert [published.number(index) for index in range(3)] == [0, 1, 3]  # the third did not settle
@@ -179,11 +166,11 @@ def test_a_stopped_export_goes_on_to_the_same_bytes(
         full.setattr(os, "fsync", no_room)
         assert run(*export) == 1
     assert "No space left" in capsys.readouterr().err
-    garments = [path for path in (tmp_path / "pieces").glob("*/*/data/*") if path.is_dir()]
-    assert [len(list(garment.iterdir())) for garment in garments] == [len(ENDINGS)]
-    written = garments[0].stat().st_mtime_ns
+    [garment] = [path for path in (tmp_path / "pieces").glob("*/*/data/*") if path.is_dir()]
+    assert {path.name for path in garment.iterdir()} == {TRAIN[0] + ending for ending in ENDINGS.values()}
+    written = garment.stat().st_mtime_ns
     assert run(*export) == 0
-    assert garments[0].stat().st_mtime_ns == written
+    assert garment.stat().st_mtime_ns == written
     assert tree(tmp_path / "pieces") == tree(exported)
     assert run(*export) == 2  # the export is complete
     assert "not empty: choose another folder" in capsys.readouterr().err
@@ -240,8 +227,7 @@ def test_splits_that_the_published_layout_does_not_know_are_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     for split in ("train", "holdout"):
-        with open_writer(tmp_path / "shards", split=split) as writer:
-            writer.write(fake_sample(0, 0))
+        fill(tmp_path / "shards", [0], split=split)
     readers = exported_splits(tmp_path / "shards")
     assert list(readers) == ["train"]
     assert "holdout" in caplog.text
@@ -284,13 +270,6 @@ def test_an_export_does_not_replace_its_source(tmp_path: Path, capsys: pytest.Ca
         )
         assert contents(tmp_path) == before
     assert run("export", tmp_path, "--hdf5", tmp_path / "all.h5", "--quiet") == 0
-
-
-def test_every_kind_of_file_is_written(published: Path) -> None:
-    names = {path.name for path in file_of(published, TRAIN[0], "spec").parent.iterdir()}
-    assert names == {TRAIN[0] + ending for ending in ENDINGS.values()}
-    lists = json.loads(next(published.glob("*split*.json")).read_text())
-    assert lists["training"] == [f"{BATCH}/default_body/{name}" for name in TRAIN]
 
 
 @pytest.mark.parametrize(

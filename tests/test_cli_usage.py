@@ -188,18 +188,6 @@ def test_the_help_of_every_verb_has_examples_that_parse(verb: str, capsys: pytes
         assert parser.parse_args(shlex.split(example)[1:]).verb == verb
 
 
-def test_no_verb_ends_with_the_code_of_ctrl_c_but_after_ctrl_c(
-    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.chdir(place)
-    monkeypatch.setattr("gcd_dataset.check.summary.info_lines", interrupted)
-    assert main(["info", "shards"]) == 130
-    assert "gcd info: stopped" in one_line(capsys.readouterr().err)
-
-
 def test_generate_prints_an_estimate_before_it_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -20,11 +20,10 @@ from docs.tools.figures import FIGURES, StaleError, read_report
 from gcd_dataset.generator.garments import GarmentDesign
 from gcd_dataset.generator.garments.space import DesignSpace
 from gcd_dataset.generator.recipes import recipe_names
-from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.layout import FIELDS
 from gcd_dataset.shards.meta import GARMENT, SOMETIMES
 from gcd_dataset.shards.sections import unpack
+from tests.shards.folders import fill
 from tools import release
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -107,9 +106,7 @@ def test_links_to_headings_of_the_readme_lead_to_headings() -> None:
 
 
 def test_the_index_table_lists_the_sections_of_an_index(tmp_path: Path) -> None:
-    with ShardWriter(tmp_path, seed=0, recipe={"fake": True}) as writer:
-        for index in range(2):
-            writer.add(index, encode_sample(fake_sample(0, index)))
+    fill(tmp_path, range(2))
     text = (DOCS / "format.md").read_text()
     section = text[text.index("## `SPLIT.index`") : text.index("## Bodies")]
     told = dict(re.findall(r"^\| `(\w+)` \| (\w+) \|", section, re.MULTILINE))

@@ -31,7 +31,7 @@ from gcd_dataset.shards.manifest import read_manifest
 from tests.helpers import as_draped, parts
 from tests.hub import conftest
 from tests.hub.server import Hub, read_folder
-from tests.shards.folders import RECIPE
+from tests.shards.folders import RECIPE, write_samples
 
 hub, no_long_waits = conftest.hub, conftest.no_long_waits  # fixtures
 
@@ -92,10 +92,7 @@ def garment() -> Sample:
 @pytest.fixture(scope="module")
 def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of one generated garment."""
-    folder = tmp_path_factory.mktemp("shards")
-    with ShardWriter(folder, seed=3, recipe=RECIPE) as writer:
-        writer.write(garment())
-    return folder
+    return write_samples(tmp_path_factory.mktemp("shards"), [garment()], seed=3)
 
 
 @hostile
@@ -188,8 +185,7 @@ def test_the_folder_that_a_download_makes(
 def test_where_a_garment_came_from(victims: Path) -> None:
     source = ["GarmentCodeData_v2", "..", "default_body", "rand_ABCDEFGHIJ"]
     sample = replace(garment(), provenance=replace(garment().provenance, source="/".join(source)))
-    with ShardWriter(victims / "data", seed=3, recipe=recipe_of(MakeConfig(stage="mesh"))) as writer:
-        writer.write(sample)
+    write_samples(victims / "data", [sample], seed=3, recipe=recipe_of(MakeConfig(stage="mesh")))
     for _ in export_published({"train": ShardReader(victims / "data")}, victims / "out"):
         pass
     specs = list((victims / "out").rglob("*_specification.json"))
@@ -200,8 +196,7 @@ def test_where_a_garment_came_from(victims: Path) -> None:
 
 def test_a_source_without_a_place_in_a_release_is_reported(victims: Path) -> None:
     sample = replace(garment(), provenance=replace(garment().provenance, source="nowhere"))
-    with ShardWriter(victims / "data", seed=3, recipe=RECIPE) as writer:
-        writer.write(sample)
+    write_samples(victims / "data", [sample], seed=3)
     with pytest.raises(ShardError, match=r"gcd_000000000: its meta\.json has source nowhere: give RELEASE/BATCH/"):
         list(export_published({"train": ShardReader(victims / "data")}, victims / "out"))
 

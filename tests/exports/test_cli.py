@@ -13,21 +13,18 @@ from gcd_dataset.generator import fitting
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.records import Sample
-from gcd_dataset.shards import ShardWriter
 from gcd_dataset.spec import read_pattern, write_pattern
 from tests.exports.dxf_reader import read_dxf
 from tests.exports.patterns import squares
 from tests.loaders.draping import SKIRTS
+from tests.shards.folders import write_samples
 from tests.test_cli import run
 
 
 @pytest.fixture(scope="module")
 def shards(worn: Sample, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of one sample."""
-    folder = tmp_path_factory.mktemp("shards")
-    with ShardWriter(folder, seed=3, recipe=recipe_of(MakeConfig())) as writer:
-        writer.write(worn)
-    return folder
+    return write_samples(tmp_path_factory.mktemp("shards"), [worn], seed=3, recipe=recipe_of(MakeConfig()))
 
 
 @pytest.fixture

@@ -26,13 +26,6 @@ from tests.helpers import parts, patch, tube
 from tests.shards.folders import fake_outfit
 from tools.blender_import import read_facts
 
-WRITERS: dict[str, Callable[..., None]] = {
-    "glb": exports.glb,
-    "obj": exports.obj,
-    "ply": exports.ply,
-    "usd": exports.usd,
-}
-
 
 def test_a_glb_has_a_node_and_a_material_for_each_panel(worn: Sample, tmp_path: Path) -> None:
     exports.glb(worn, tmp_path / "a.glb")
@@ -146,6 +139,8 @@ def test_the_facts_of_a_glb_are_read_without_a_library(worn: Sample, tmp_path: P
     facts = read_facts(tmp_path / "a.glb")
     assert facts["panels"] == list(parts(worn)[0].panel_names)
     assert (facts["garment"], facts["tile_cm"], facts["body"]) == (worn.key, 20.0, True)
+    exports.glb(replace(worn, shape=None), tmp_path / "b.glb")  # of an unknown body: alone
+    assert read_facts(tmp_path / "b.glb")["body"] is False
 
 
 def test_other_files_are_no_garments(tmp_path: Path) -> None:
@@ -171,13 +166,9 @@ def test_an_obj_is_sewn_and_has_the_vertices_of_the_sample(worn: Sample, tmp_pat
     made = [line.split()[1] for line in (tmp_path / "a.mtl").read_text().splitlines() if line.startswith("newmtl")]
     assert used == made == list(mesh.panel_names)
     assert "mtllib a.mtl" in lines
-
-
-def test_an_obj_loads_with_its_body_and_materials(worn: Sample, tmp_path: Path) -> None:
-    exports.obj(worn, tmp_path / "a.obj")
-    scene = trimesh.load(tmp_path / "a.obj", process=False)
-    names = {geometry.visual.material.name for geometry in scene.geometry.values()}
-    assert names == {*parts(worn)[0].panel_names, "body"}
+    exports.obj(worn, tmp_path / "b.obj")
+    scene = trimesh.load(tmp_path / "b.obj", process=False)
+    assert {part.visual.material.name for part in scene.geometry.values()} == {*mesh.panel_names, "body"}
 
 
 def test_a_ply_has_the_vertices_of_the_sample(worn: Sample, tmp_path: Path) -> None:
@@ -253,25 +244,21 @@ def test_a_panel_drawn_from_the_inside_is_mirrored_in_its_texture() -> None:
     assert texture_coordinates(sheet, 2.0) == pytest.approx(sheet.uv / 2.0)
 
 
-@pytest.mark.parametrize("form", WRITERS)
+@pytest.mark.parametrize("form", ["glb", "obj", "ply", "usd"])
 def test_a_sample_without_a_drape_is_refused(form: str, worn: Sample, tmp_path: Path) -> None:
+    write: Callable[..., None] = getattr(exports, form)
     with pytest.raises(ShardError, match=f"sample {worn.key} holds no drape"):
-        WRITERS[form](replace(worn, drape=None), tmp_path / f"a.{form}")
+        write(replace(worn, drape=None), tmp_path / f"a.{form}")
     mesh, drape = parts(worn)
     torn = replace(worn, drape=replace(drape, vertices=np.full_like(mesh.vertices, np.nan)))
     with pytest.raises(ShardError, match="its drape diverged"):
-        WRITERS[form](torn, tmp_path / f"a.{form}")
+        write(torn, tmp_path / f"a.{form}")
     off = replace(worn, drape=replace(drape, outcome=Outcome.CANNOT_BE_PUT_ON))
     with pytest.raises(ShardError, match="it cannot be put on"):
-        WRITERS[form](off, tmp_path / f"a.{form}")
+        write(off, tmp_path / f"a.{form}")
     with pytest.raises(ConfigError, match="end its name in"):
-        WRITERS[form](worn, tmp_path / "a.txt")
+        write(worn, tmp_path / "a.txt")
     assert not list(tmp_path.iterdir())
-
-
-def test_a_garment_of_unknown_body_is_exported_alone(worn: Sample, tmp_path: Path) -> None:
-    exports.glb(replace(worn, shape=None), tmp_path / "a.glb")
-    assert read_facts(tmp_path / "a.glb")["body"] is False
 
 
 @pytest.fixture(scope="module")

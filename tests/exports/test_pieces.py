@@ -10,16 +10,7 @@ from gcd_dataset.curves import signed_area
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.exports.pieces import cut_pieces
 from gcd_dataset.records import Closure, EdgeRef, Pattern, Seam
-from tests.exports.patterns import (
-    DART_DEPTH,
-    DART_MOUTH,
-    RADIUS,
-    SIDE,
-    darted,
-    quarter_circle,
-    square,
-    squares,
-)
+from tests.exports.patterns import DART_DEPTH, DART_MOUTH, RADIUS, SIDE, darted, quarter_circle, square, squares
 from tests.generator.mesh.shapes import panel
 
 

@@ -49,7 +49,13 @@ from tests.generator.drape.test_contact import check_closed_to_cloth
 
 SURE_ANYWHERE = ("height", "bust", "waist", "hips", "leg_circ", "wrist", "head_l")
 """Heights, and girths at searched levels: always accurate, even where a remark states a doubt."""
-HARMLESS = ("some faces flipped", "facing away", "on a floor")
+HARMLESS = {
+    "some faces flipped": "",
+    "facing away": "turned",
+    "on a floor": "such as a floor",
+    "pinholes": "holes in the skin, up to",
+}
+"""Damage to the remark about it."""
 SMPL_VERTICES = 6890
 SMPLX_VERTICES = 10475
 EYE = 642  # vertices of an eyeball; SMPL-X has 546
@@ -148,13 +154,12 @@ def test_a_scan_with_holes_has_the_field_of_the_whole_body(tmp_path: Path, caplo
 
 @pytest.mark.parametrize("kind", HARMLESS)
 def test_harmless_damage_does_not_change_the_measures(kind: str, tmp_path: Path) -> None:
-    """On a floor, with some faces flipped, or facing away."""
-    made = broken_body(kind, rng(1, HARMLESS.index(kind), Stage.BODY))
+    made = broken_body(kind, rng(1, [*HARMLESS].index(kind), Stage.BODY))
     assert made.truth is not None
     result, remarks = measure_file(made.write(tmp_path))
     assert not too_far(result.measurements, made.truth)
-    assert any("turned" in remark for remark in remarks) == (kind == "facing away")
-    assert any("such as a floor" in remark for remark in remarks) == (kind == "on a floor")
+    said = {word for word in HARMLESS.values() if word and any(word in remark for remark in remarks)}
+    assert said == {HARMLESS[kind]} - {""}
 
 
 @pytest.mark.parametrize("name", ["all", "male"])
@@ -216,14 +221,6 @@ def test_a_body_scaled_and_moved_has_scaled_measures() -> None:
     ).result.measurements.to_file_values()
     for key, value in fitted_woman().result.measurements.to_file_values().items():
         assert larger[key] == pytest.approx(value if key in ANGLES else 1.1 * value, abs=SAME)
-
-
-def test_many_small_holes_do_not_change_the_measures(tmp_path: Path) -> None:
-    made = broken_body("pinholes", rng(0, 1, Stage.BODY, 1))
-    assert made.truth is not None
-    result, remarks = measure_file(made.write(tmp_path))
-    assert not too_far(result.measurements, made.truth)
-    assert any("holes in the skin, up to" in remark for remark in remarks)
 
 
 @pytest.mark.parametrize("kind", SLOW_ERRORS)

@@ -15,6 +15,7 @@ from gcd_dataset.generator.maker import make
 from gcd_dataset.shards.notes import stored_samples
 from gcd_dataset.shards.writer import Draft
 from gcd_dataset.spec import write_pattern
+from tests.helpers import wait_until
 from tests.shards.folders import fill
 from tests.test_cli import SKIRT, one_line
 
@@ -34,7 +35,7 @@ def test_a_signal_keeps_finished_samples(tmp_path: Path, monkeypatch: pytest.Mon
     said += process.communicate(timeout=60)[1]
     assert process.returncode == 143, said
     assert "the same command continues from there" in one_line(said)
-    wait_for_end_of(process.pid)
+    wait_until(lambda: not of_session(process.pid))
     assert [path.name for path in tmp_path.iterdir()] == [path.name for path in drafts_in(tmp_path)]
     there = samples_in_work(tmp_path)
     assert there >= 3
@@ -56,7 +57,7 @@ def test_workers_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
     assert len(of_session(process.pid)) >= 3
     process.kill()
     process.wait()
-    wait_for_end_of(process.pid)
+    wait_until(lambda: not of_session(process.pid))
     assert main(["generate", str(tmp_path), "--count", "3", *FLAT]) == 0  # keeps the finished samples
 
 
@@ -74,14 +75,6 @@ def samples_in_work(folder: Path) -> int:
 
 def drafts_in(folder: Path) -> list[Path]:
     return [*folder.glob(".train-00000-of-*.draft")]
-
-
-def wait_for_end_of(session: int) -> None:
-    """Wait until no process of a session runs."""
-    deadline = time.monotonic() + 60
-    while of_session(session) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert of_session(session) == []
 
 
 def of_session(session: int) -> list[int]:

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
@@ -23,6 +22,7 @@ from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import DraperAddress, SharedDraper
 from gcd_dataset.generator.drapers.address import socket_file
 from gcd_dataset.loaders import FakeGarments, FreshGarments, collate_list
+from tests.helpers import wait_until
 from tests.loaders.draping import COUNT, Apart, drape_request, drapers, items, kill_drapers, own_address
 from tests.loaders.test_shards import assert_all_same
 
@@ -179,8 +179,5 @@ def test_the_draper_ends_with_the_process_that_owns_it() -> None:
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stdout.strip()
     address = DraperAddress(Path(out), "cpu")
-    deadline = time.monotonic() + 60
-    while drapers(address) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert drapers(address) == []
+    wait_until(lambda: not drapers(address))
     assert not address.folder.exists()

@@ -6,7 +6,6 @@ import random
 import subprocess
 import sys
 import threading
-import time
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -25,6 +24,8 @@ from gcd_dataset.loaders import (
     PointNoise,
     collate_list,
 )
+from tests.helpers import wait_until
+from tests.loaders.test_loader import ids
 from tests.loaders.test_shards import same
 from tests.shards.folders import fill
 
@@ -51,10 +52,7 @@ def test_a_killed_training_leaves_no_workers() -> None:
         assert training.stdout is not None
         workers = [int(pid) for pid in training.stdout.readline().split()]
     assert len(workers) == 2
-    deadline = time.monotonic() + 120
-    while any(map(is_alive, workers)) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert [pid for pid in workers if is_alive(pid)] == []
+    wait_until(lambda: not any(map(is_alive, workers)), seconds=120)
 
 
 class Endless(FakeGarments):
@@ -138,11 +136,6 @@ def test_the_main_process_does_not_initialise_cuda() -> None:
         "sys.exit('warp' in sys.modules or torch.cuda.is_initialized())\n"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-def ids(batch: Any) -> list[int]:
-    """Indices of a batch's garments."""
-    return [meta["index"] for meta in batch["meta"]]
 
 
 def train(ds: Any, workers: int, epochs: int, log: Path, tell: Connection) -> None:

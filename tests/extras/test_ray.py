@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ ray = pytest.importorskip("ray", reason="ray is not installed: make test-extras"
 from gcd_dataset import Progress, generate  # noqa: E402
 from gcd_dataset.cli import main  # noqa: E402
 from gcd_dataset.generator.recipe import MakeConfig  # noqa: E402
+from tests.helpers import wait_until  # noqa: E402
 from tests.shards.folders import contents  # noqa: E402
 from tests.test_cli import one_line  # noqa: E402
 
@@ -160,10 +160,3 @@ def marked(mark: str) -> list[str]:
         except OSError:  # the process has ended, or belongs to another user
             continue
     return found
-
-
-def wait_until(holds: Callable[[], bool], *, seconds: float = 90.0) -> None:
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end, f"not within {seconds:.0f} s"
-        time.sleep(0.1)

@@ -34,7 +34,7 @@ from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.jsonfile import read_toml
 from gcd_dataset.loaders import BodyDataset, GarmentDataset, GarmentLoader, Hdf5Garments, PublishedGarmentCodeData
-from gcd_dataset.records import Drape, Layer, Outcome, Outfit, Sample, WornGarment
+from gcd_dataset.records import Layer, Outfit, Sample, WornGarment
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.codec import decode_field, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
@@ -42,6 +42,7 @@ from gcd_dataset.shards.layout import FIELDS, fields_of, member_of
 from gcd_dataset.spec import read_pattern, spec_from_pattern, write_pattern
 from gcd_dataset.viewer.garments import spec_album
 from gcd_dataset.viewer.server import Gallery
+from tests.helpers import as_draped
 from tests.release.published import pack
 from tests.shards.folders import contents, write_samples
 
@@ -104,10 +105,8 @@ def small_body() -> trimesh.Trimesh:
 
 
 def _with_drape(sample: Sample) -> Sample:
-    assert sample.box_mesh is not None
     picture = jpeg_bytes(np.full((16, 16, 3), 90 + sample.provenance.index, np.uint8))
-    drape = Drape(sample.box_mesh.vertices, Outcome.SETTLED, 100, 3, 0, 1.0, 1.1)
-    return replace(sample, drape=drape, front=picture, back=picture)
+    return replace(as_draped(sample), front=picture, back=picture)
 
 
 def _shards(folder: Path, name: str, *, streaming: bool = False, together: bool = False, without: str = "") -> Reader:

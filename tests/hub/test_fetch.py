@@ -12,6 +12,7 @@ import tracemalloc
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -185,10 +186,8 @@ def test_patience_bounds_all_waits(hub: Hub, files: Files, fault: Fault, told: s
 
 
 def test_a_name_that_is_unknown_is_given_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unknown(*arguments: object, **options: object) -> None:
-        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
-
-    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    unknown = socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+    monkeypatch.setattr(socket, "getaddrinfo", Mock(side_effect=unknown))
     monkeypatch.setattr(fetching, "UNRESOLVED", 0.2)
     with pytest.raises(RemoteError, match=r"http://x\.invalid/a: no answer \(.* not known.*\): check the address and"):
         Files("http://x.invalid", patience=60).read("a", limit=1000)

@@ -15,7 +15,7 @@ from gcd_dataset.errors import ConfigError, RemoteError, ShardError
 from gcd_dataset.generator.body import neutral_shape
 from gcd_dataset.hub.download import download
 from gcd_dataset.hub.partition import families, leaks, partition, traits_of
-from gcd_dataset.hub.publish import Staged, _license, publish, stage, upload
+from gcd_dataset.hub.publish import Staged, _license, stage, upload
 from gcd_dataset.hub.remote import Remote
 from gcd_dataset.hub.source import Repo
 from gcd_dataset.loaders import GarmentDataset
@@ -164,13 +164,6 @@ def test_the_card_declares_tars_and_pictures(staged: Staged) -> None:
     assert 'GarmentDataset("org/new-set"' in text
 
 
-def test_a_dry_run_sends_nothing(hub: Hub, tmp_path: Path) -> None:
-    data, staged = fill(tmp_path / "data", range(4)), list[Staged]()
-    done = publish(data, "org/dry", dry_run=True, endpoint=hub.endpoint, on_staged=staged.append)
-    assert done.commit is None and staged == [done] and not hub.log
-    assert done.folder == data / "published"
-
-
 def test_only_changed_shards_are_staged_again(tmp_path: Path) -> None:
     data = fill(tmp_path / "data", range(20))
     first = stage(data, "org/new", tmp_path / "up")
@@ -284,7 +277,7 @@ def test_publish_and_download(
     before, here = read_folder(data), ["--endpoint", hub.endpoint]
     assert main(["publish", str(data), "me/garments", "--dry-run", *here]) == 0
     assert "would be uploaded to me/garments; nothing was sent" in capsys.readouterr().out
-    assert not hub.log
+    assert not hub.log and (data / "published" / "README.md").exists()
     assert main(["publish", str(data), "me/garments", *here]) == 0
     commit = hub.repos["me/garments"].commits[-1][0]
     assert f"me/garments@{commit}" in capsys.readouterr().out

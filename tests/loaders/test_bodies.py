@@ -133,14 +133,10 @@ def test_damage_is_named(tmp_path: Path) -> None:
     with pytest.raises(ShardError, match=r"member person\.z"):
         BodyDataset(folder, fields=["measures"]).verify(1)
     assert BodyDataset(folder, fields=["straight"])[0]["straight"].shape == (4, 3)
-
-
-@pytest.mark.parametrize("content", [b"", b"(\xb5/\xfd", mesh_bytes(replace(MESH, faces=MESH.faces[:, [1, 2, 0]]))])
-def test_a_damaged_mesh_is_named(tmp_path: Path, content: bytes) -> None:
-    folder = fill(tmp_path, range(1))
-    (folder / "mesh-train.z").write_bytes(content)
-    with pytest.raises(ShardError, match=r"mesh-train\.z: not the mesh of"):
-        BodyDataset(folder)
+    for content in (b"", b"(\xb5/\xfd", mesh_bytes(replace(MESH, faces=MESH.faces[:, [1, 2, 0]]))):
+        (folder / "mesh-train.z").write_bytes(content)
+        with pytest.raises(ShardError, match=r"mesh-train\.z: not the mesh of (a body set|these bodies)"):
+            BodyDataset(folder)
 
 
 def test_the_published_layout_gives_the_same_items(ours: Path, published: Path, tmp_path: Path) -> None:

@@ -134,13 +134,9 @@ def test_garment_k_of_a_packed_batch_is_item_k(items: list[dict[str, Any]], batc
         garment = batch.garment(k)
         assert garment.keys() == item.keys()
         assert all(same(garment[field], item[field]) for field in item)
+    assert batch.batch_size == B
     with pytest.raises(IndexError):
         batch.garment(B)
-
-
-def test_entries_are_attributes(batch: PackedBatch) -> None:
-    assert batch.verts is batch["verts"]
-    assert batch.batch_size == B
     with pytest.raises(AttributeError, match="the batch has no repeated: load the fields"):
         _ = batch.repeated
 

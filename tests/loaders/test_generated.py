@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -54,10 +55,7 @@ def test_unneeded_pictures_are_not_rendered(monkeypatch: pytest.MonkeyPatch) -> 
     """The other fields stay the same."""
     options: dict[str, Any] = {"seed": 5, "resolution": 8.0, "picture": 32, "device": "cpu"}
     whole: Any = GeneratedGarments(1, **options)[0]
-
-    def refuse(*_: Any, **__: Any) -> None:
-        raise AssertionError("a picture was taken")
-
+    refuse = Mock(side_effect=AssertionError("a picture was taken"))
     monkeypatch.setattr("gcd_dataset.generator.render.render_garment", refuse)
     fields = [field for field in whole if field not in ("front", "back", "meta")]
     assert_all_same([GeneratedGarments(1, fields=fields, **options)[0]], [{name: whole[name] for name in fields}])
@@ -71,12 +69,8 @@ def test_cached_garments_are_not_made_again(
     ds = garments(cache_dir=tmp_path)
     assert same(ds[1], items[1])
     assert_all_same(ds.__getitems__([0, 1]), items[:2])
-    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", no_more)
+    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", Mock(side_effect=AssertionError("made again")))
     assert same(garments(cache_dir=tmp_path)[1], items[1])
-
-
-def no_more(*_: Any) -> list[Any]:
-    raise AssertionError("made again")
 
 
 def test_damage_in_the_cache_is_logged_and_repaired(
@@ -115,7 +109,7 @@ def test_another_recipe_or_version_has_another_cache(tmp_path: Path, monkeypatch
 
 def test_the_recipe_is_known_before_the_garment_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     ds = garments()
-    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", no_more)
+    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", Mock(side_effect=AssertionError("made")))
     assert ds.recipe(-1)["index"] == COUNT - 1
     with pytest.raises(IndexError):
         ds.recipe(COUNT)

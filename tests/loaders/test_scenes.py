@@ -16,7 +16,7 @@ from gcd_dataset.generator.render.pictures import VERTEX_MAPS
 from gcd_dataset.loaders import VIEW_FIELDS, Augmented, FakeGarments, GarmentDataset, GarmentLoader, Scan, Sketch, Views
 from gcd_dataset.records import Sample
 from tests.loaders.rendered import write_mapped
-from tests.loaders.test_views import dataset
+from tests.loaders.test_views import dataset, small
 
 DOCS = Path(__file__).resolve().parent.parent.parent / "docs"
 
@@ -47,11 +47,14 @@ def test_entries_are_a_function_of_seed_epoch_and_garment(worn_folder: Path, mak
     assert not torch.equal(drawn(item)[field], alone)
 
 
-@pytest.mark.parametrize(("make", "field", "stays"), [(scan, "scan", False), (sketch, "sketch", True)])
+@pytest.mark.parametrize(
+    ("make", "field", "stays"), [(scan, "scan", False), (sketch, "sketch", True), (small, "views", False)]
+)
 def test_as_an_augmentation_each_epoch_is_drawn_anew(worn_folder: Path, make: Any, field: str, stays: bool) -> None:
     """A clean flat from a fixed side has nothing to draw."""
     garments: Any = Augmented(dataset(worn_folder), make())
     first = garments[1][field]
+    assert torch.equal(first, garments[1][field])
     garments.set_epoch(1)
     assert torch.equal(first, garments[1][field]) == stays
 

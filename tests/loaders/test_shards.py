@@ -114,13 +114,11 @@ def test_garments_without_a_drape_neither_settle_nor_have_a_grade(tmp_path: Path
         GarmentDataset(tmp_path, quality="paper", streaming=True)
 
 
-def test_options_for_servers_are_refused_for_a_folder(folder: Path, tmp_path: Path) -> None:
+def test_options_for_servers_are_refused_for_a_folder(folder: Path) -> None:
     with pytest.raises(ConfigError, match="revision='main' is for repositories of the Hub"):
         GarmentDataset(folder, revision="main")
     with pytest.raises(ConfigError, match="patience is for URLs and the Hub"):
         GarmentDataset(folder, patience=3)
-    with pytest.raises(ConfigError, match="nowhere: no such folder, and neither a URL nor a repository"):
-        GarmentDataset(tmp_path / "nowhere")
 
 
 @pytest.fixture(scope="module")
@@ -179,10 +177,6 @@ def test_slices_and_selections_are_data_sets(two_splits: Path) -> None:
     assert_all_same(some[1:], [ds[0], ds[9]])
     assert some.recipe(0) == ds.recipe(7)
     some.verify(2)
-    with pytest.raises(IndexError):
-        some[3]
-    with pytest.raises(IndexError):
-        ds.select([10])
     assert_all_same(DataLoader(some, batch_size=None), [ds[7], ds[0], ds[9]])
     assert_all_same(FakeGarments(5)[3:], [FakeGarments(5)[3], FakeGarments(5)[4]])
 

@@ -105,15 +105,16 @@ def test_draws_of_a_transform_depend_on_seed_epoch_and_garment(folder: Path) -> 
     assert noise(resumed).items() < first.items()
 
 
+WRAPPED: list[Any] = [
+    lambda ds: ds[2:],
+    lambda ds: Augmented(ds, Yaw()),
+    lambda ds: MixedDataset([ds, ds[::2]], [2, 1], transform=jittered),
+]
+
+
 @pytest.mark.parametrize(
     "wrapped",
-    [
-        lambda ds: ds[2:],
-        lambda ds: Augmented(ds, Yaw()),
-        lambda ds: Augmented(ds, lambda item, chance: jittered(item)),
-        lambda ds: MixedDataset([ds, ds[::2]], [2, 1], transform=lambda item: item),
-        lambda ds: Subset(ds, range(8)),
-    ],
+    [*WRAPPED, lambda ds: Augmented(ds, lambda item, _: jittered(item)), lambda ds: Subset(ds, range(8))],
 )
 def test_loaded_items_equal_those_of_the_data_set(folder: Path, wrapped: Any) -> None:
     """A thread reads the items; the training thread transforms them."""
@@ -132,15 +133,7 @@ def test_loaded_items_equal_those_of_the_data_set(folder: Path, wrapped: Any) ->
     assert torch.equal(torch.get_rng_state(), before)
 
 
-@pytest.mark.parametrize(
-    "wrapped",
-    [
-        lambda ds: ds,
-        lambda ds: ds[2:],
-        lambda ds: Augmented(ds, Yaw()),
-        lambda ds: MixedDataset([ds, ds[::2]], [2, 1], transform=jittered),
-    ],
-)
+@pytest.mark.parametrize("wrapped", [lambda ds: ds, *WRAPPED])
 def test_the_batch_maker_can_be_pickled(folder: Path, wrapped: Any) -> None:
     """Spawned workers receive it pickled."""
     making = BatchMaker(wrapped(GarmentDataset(folder, fields=["meta"], transform=jittered)), collate_packed, 0)
@@ -235,6 +228,8 @@ def test_the_state_of_another_data_set_is_refused(folder: Path, tmp_path: Path) 
         (FreshGarments(ds), FreshGarments(ds, room=3)),
         (Subset(ds, [0, 1, 2]), Subset(ds, [0, 1, 3])),
         (Subset(ds, [0, 1]), Subset(other, [0, 1])),
+        (ds[::2], ds[1::2]),
+        (MixedDataset([ds], [1]), MixedDataset([ds], [1], seed=1)),
         (torch.utils.data.ConcatDataset([ds, ds]), torch.utils.data.ConcatDataset([ds, other])),
     ]
     for first, second in pairs:

@@ -4,9 +4,9 @@ import errno
 import re
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -15,7 +15,7 @@ from gcd_dataset.errors import ConfigError, OutputError
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.making import ray
 from gcd_dataset.making.ray import code_versions, gpu_share, with_cluster_device
-from gcd_dataset.making.run import Made, Maker
+from gcd_dataset.making.run import Maker
 from gcd_dataset.making.tasks import Task
 from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.manifest import Plan
@@ -74,12 +74,8 @@ def test_faults_of_a_node_are_named_with_their_remedy(tmp_path: Path, fake_ray: 
         (MemoryError(), "node 10.0.0.7: out of memory: free disk or memory there, or give fewer --workers"),
         (OSError(errno.ENOSPC, "No space left on device"), "No space left on device: free disk or memory there"),
     ):
-
-        def maker(wanted: object, fault: Exception = fault) -> Iterator[Made]:
-            raise fault
-
         with pytest.raises(OutputError, match=f"{said}.*then give the same command again to continue"):
-            node_task(tmp_path, maker, code_versions())
+            node_task(tmp_path, Mock(side_effect=fault), code_versions())
 
 
 def test_an_address_without_a_server_fails_soon(

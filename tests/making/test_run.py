@@ -160,12 +160,14 @@ def test_sets_of_bodies_are_made_likewise(tmp_path: Path) -> None:
     for number in (1, 0):
         people(tmp_path / "jobs", 12, job=Job(number, 2))
     assert contents(tmp_path / "jobs") == contents(tmp_path / "whole")
+    with pytest.raises(ConfigError, match="bodies='female', asked for bodies='male'"):
+        generate_people(tmp_path / "jobs", 12, seed=3, bodies="male")
+    with pytest.raises(ConfigError, match="kind='bodies', asked for kind='garments'"):
+        make(tmp_path / "jobs", COUNT)
     for name in ("train.index", "manifest.json"):
         (tmp_path / "jobs" / name).unlink()
     index(Place(tmp_path / "jobs"))
     assert contents(tmp_path / "jobs") == contents(tmp_path / "whole")
-    with pytest.raises(ConfigError, match="bodies='female', asked for bodies='male'"):
-        generate_people(tmp_path / "jobs", 12, seed=3, bodies="male")
 
 
 @pytest.fixture

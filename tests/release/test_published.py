@@ -23,16 +23,7 @@ from gcd_dataset.release.published_names import ENDINGS, properties_name
 from gcd_dataset.release.read_garment import PublishedGarment
 from gcd_dataset.release.write import garment_files
 from tests.loaders.test_shards import same
-from tests.release.published import (
-    BATCH,
-    BODIES,
-    TEST,
-    TRAIN,
-    file_of,
-    garment,
-    pack,
-    split_lists,
-)
+from tests.release.published import BATCH, BODIES, TEST, TRAIN, file_of, garment, pack, split_lists
 
 
 def numbers(published: PublishedGarmentCodeData) -> list[int]:

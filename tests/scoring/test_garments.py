@@ -29,13 +29,7 @@ from gcd_dataset.scoring.distances import (
     read_shape,
 )
 from gcd_dataset.scoring.draping import arranged, panels_alike, with_drapes
-from gcd_dataset.scoring.garments import (
-    box_mesh_distance,
-    kind_of,
-    remarks_of,
-    score_garment,
-    true_files,
-)
+from gcd_dataset.scoring.garments import box_mesh_distance, kind_of, remarks_of, score_garment, true_files
 from tests.helpers import renamed
 from tests.test_metrics import SAME, drawn_from_behind, each, garment
 

@@ -17,6 +17,7 @@ from tests.generator.mesh.shapes import panel
 from tests.test_metrics import SAME, garment
 
 Capture = pytest.CaptureFixture[str]
+NO_PATTERN = "; if bodies.json is no true pattern, move it elsewhere"
 POINTS = np.random.default_rng(0).uniform(size=(100, 3))
 
 
@@ -120,24 +121,28 @@ def test_kinds_apart(tmp_path: Path, capsys: Capture) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "place"),
+    ("name", "content", "place"),
     [
-        ("{", "line 1"),
-        ('{"pattern": {"panels": {"p": {"vertices": [[0, 0]], "edges": 3}}}}', "panel p"),
-        ('{"pattern": {"panels": {}}}', "without panels"),
+        *(("bodies.json", content, NO_PATTERN) for content in ("[]", '{"pattern": 5}', "no JSON")),
+        ("b_specification.json", "{", "line 1"),
+        ("b_specification.json", '{"pattern": {"panels": {"p": {"vertices": [[0, 0]], "edges": 3}}}}', "panel p"),
+        ("b_specification.json", '{"pattern": {"panels": {}}}', "without panels"),
         (
+            "b_specification.json",
             '{"pattern": {"panels": {"p": {"vertices": [[0, 0], [9, 0], [9, 9]], "edges": '
             '[{"endpoints": [0, 1]}, {"endpoints": [1, 2]}]}}}}',
             "panel p, edge 0",
         ),
     ],
 )
-def test_true_patterns_must_be_readable(tmp_path: Path, truth: Path, capsys: Capture, content: str, place: str) -> None:
-    (truth / "b_specification.json").write_text(content)
+def test_true_patterns_must_be_readable(
+    name: str, content: str, place: str, tmp_path: Path, truth: Path, capsys: Capture
+) -> None:
+    (truth / name).write_text(content)
     assert run(save(tmp_path / "ours", {"a": garment()}), truth) == 1
     [line] = capsys.readouterr().err.strip().splitlines()[-1:]
     assert line.startswith("gcd score: ")
-    assert "b_specification.json" in line and place in line
+    assert f"{name}: " in line and place in line
 
 
 def test_missing_bodies_and_folders_are_errors_at_once(tmp_path: Path, truth: Path, capsys: Capture) -> None:
@@ -155,14 +160,6 @@ def test_missing_bodies_and_folders_are_errors_at_once(tmp_path: Path, truth: Pa
         assert run(ours, truth, "--drape", "--bodies", missing) == 1
         [line] = [line for line in capsys.readouterr().err.splitlines() if "nowhere" in line]
         assert f"{missing}: no such folder, and no body named" in line
-
-
-@pytest.mark.parametrize("content", ["[]", '{"pattern": 5}', "no JSON"])
-def test_another_json_file_among_true_patterns(content: str, tmp_path: Path, truth: Path, capsys: Capture) -> None:
-    (truth / "bodies.json").write_text(content)
-    assert run(save(tmp_path / "ours", {"a": garment()}), truth) == 1
-    line = capsys.readouterr().err.splitlines()[-1]
-    assert "bodies.json: " in line and line.endswith("; if bodies.json is no true pattern, move it elsewhere")
 
 
 def test_hashes_tell_what_predictions_were_scored_against(

@@ -25,7 +25,7 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.loaders.hdf5 import Hdf5Garments
 from gcd_dataset.making.garments import encoded
 from gcd_dataset.records import Layer, Outcome, WornGarment
-from gcd_dataset.shards import FIELDS, MEMBERS, ShardReader, decode_fields, decode_sample, encode_sample
+from gcd_dataset.shards import FIELDS, ShardReader, decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.layout import garments_layout, of_garment
 from gcd_dataset.shards.meta import sealed
@@ -44,11 +44,6 @@ LACKING = {"drape": (), "mesh": ("drape", "front", "back"), "pattern": ("box_mes
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return fill_outfits(tmp_path_factory.mktemp("outfits"), COUNTS)
-
-
-def test_a_single_garment_keeps_its_bytes_and_members() -> None:
-    assert tuple(encode_sample(fake_sample(0, 0))) == MEMBERS
-    assert not {"outfit", "layers"} & json.loads(encode_sample(fake_sample(0, 0))["meta.json"]).keys()
 
 
 @settings(max_examples=20, deadline=None)
