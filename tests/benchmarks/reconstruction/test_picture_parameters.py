@@ -1,6 +1,7 @@
 """The network of task T2: what their batches hold, and that they learn from pictures."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def shades(pictures: torch.Tensor) -> list[int]:
 
 def test_each_step_draws_other_pictures(painted: GarmentSet, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(picture_model, "distorted", lambda pictures, shown, numbers: (pictures, shown))
-    examples = small("picture_parameters", views=3).prepare(painted, device=CPU)
+    examples: Any = small("picture_parameters", views=3).prepare(painted, device=CPU)
     assert np.shares_memory(examples.whole.pictures.numpy(), painted.ragged["pictures"].rows)  # 786 kB a garment
     assert shades(examples.batch(torch.tensor([2])).pictures) == [20, 80, 140]
     drawn = [examples.batch(torch.tensor([2]), torch.Generator().manual_seed(k)).pictures for k in (1, 1, 2, 3, 4)]

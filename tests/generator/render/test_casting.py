@@ -173,7 +173,9 @@ def printed() -> dict[str, np.ndarray]:
         "quarter": Print(PrintKind.STRIPES, (BLACK, WHITE, GREY, GREY), period=2.0, fill=0.25),
         "grain": Print(PrintKind.STRIPES, (BLACK, WHITE, GREY, GREY), period=4.0, fill=0.5, matched=True),
         "tile": Print(PrintKind.IMAGE, period=20.0, image=tile, matched=True),
-        "tall": Print(PrintKind.IMAGE, period=10.0, image=tile[:, [1, 1]].repeat(4, axis=0).repeat(2, axis=1), matched=True),
+        "tall": Print(
+            PrintKind.IMAGE, period=10.0, image=tile[:, [1, 1]].repeat(4, axis=0).repeat(2, axis=1), matched=True
+        ),
         **{
             f"every {kind}": Print(
                 kind, colours, period=5.0 if kind is PrintKind.DOTS else 12.0, image=np.tile(tile, (2, 2, 1))
