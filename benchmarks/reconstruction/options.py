@@ -51,7 +51,9 @@ class Config:
     sizes: Mapping[str, float] = field(
         default_factory=dict, metadata={"help": "sizes of the network, such as width=256"}
     )
-    weights: str = option("", "weights.pt to begin from; the moments of the optimiser beside it are taken, too")
+    weights: str = option(
+        "", "weights.pt to begin from, with the moments beside it; or several, with commas: their mean"
+    )
     smoke: bool = option(default=False, text="few coarse garments and a tiny network, for two cores")
     steps: int = option(0, "optimiser steps; 0: as many as --minutes allows; with --weights none, these are tested")
     minutes: float = option(0.0, f"time of the steps alone; {MINUTES:g} without --steps")

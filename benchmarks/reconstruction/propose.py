@@ -50,7 +50,7 @@ def network(path: Path) -> Network:
     if hashlib.sha256(path.read_bytes()).hexdigest() != card.get("sha256"):
         raise ConfigError(f"{path}: not the weights that {at.source} describes: fetch both again")
     found: Network = load_model(at.text(card.get("model"), "model")).build(at.mapping(card.get("sizes"), "sizes"))
-    load_weights(path, found)
+    load_weights([path], found)
     return found.eval()
 
 

@@ -132,7 +132,7 @@ class _State:
         ]
         self.optimizer = torch.optim.AdamW(groups, lr=config.lr, betas=BETAS, fused=device.type == "cuda")
         if config.weights:
-            load_weights(Path(config.weights), learner, self.optimizer)
+            load_weights([Path(path) for path in config.weights.split(",")], learner, self.optimizer)
         same_on_all_ranks(learner.state_dict().values())
         self.averaged = copy.deepcopy(learner).requires_grad_(False).eval()
         self._pairs = list(zip(self.averaged.state_dict().values(), learner.state_dict().values(), strict=True))

@@ -4,7 +4,7 @@
 of AdamW in parts of at most 15 MB, for machines between which only small files travel.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -31,21 +31,28 @@ def save_weights(folder: Path, averaged: nn.Module, optimizer: torch.optim.Optim
         _save(part, folder / f"moments_{number}.pt")
 
 
-def load_weights(path: Path, model: nn.Module, optimizer: torch.optim.Optimizer | None = None) -> None:
-    """Load ``weights.pt`` into a model, and the moments beside it, if any, into its optimiser.
+def load_weights(paths: Sequence[Path], model: nn.Module, optimizer: torch.optim.Optimizer | None = None) -> None:
+    """Load the mean of ``weights.pt`` files into a model, and the moments beside a single one into its optimiser.
 
-    Raises ``ConfigError`` for a file that is none, and for weights of another network.
+    Weights of which one was trained on from the other are often better in their mean than either (Wortsman et al.,
+    Model soups, ICML 2022). Raises ``ConfigError`` for a file that is none, and for weights of another network.
     """
     try:
-        model.load_state_dict(_load(path))
-        if optimizer is not None:
-            found = {name: each for part in path.parent.glob("moments_*.pt") for name, each in _load(part).items()}
+        first, *others = [_load(path) for path in paths]
+        several = {name: torch.stack([value, *(each[name] for each in others)]) for name, value in first.items()}
+        model.load_state_dict({name: values.float().mean(dim=0) for name, values in several.items()})
+        if optimizer is not None and len(paths) == 1:
+            parts = [_load(part) for part in paths[0].parent.glob("moments_*.pt")]
+            found = {name: each for part in parts for name, each in part.items()}
             names = {parameter: name for name, parameter in model.named_parameters()}
             order = [names[parameter] for group in optimizer.param_groups for parameter in group["params"]]
             states = {number: found[name] for number, name in enumerate(order) if name in found}
             optimizer.load_state_dict({**optimizer.state_dict(), "state": states})  # in the parameters' dtype and place
     except (*DAMAGED, OSError, TypeError) as error:
-        raise ConfigError(f"{path}: no weights of this network ({error!s:.200}): give its --model and --set") from error
+        given = ", ".join(map(str, paths))
+        raise ConfigError(
+            f"{given}: no weights of this network ({error!s:.200}): give its --model and --set"
+        ) from error
 
 
 def read_checkpoint(path: Path, identity: Mapping[str, Any], device: torch.device) -> dict[str, Any]:

@@ -124,7 +124,7 @@ def test_a_training_begins_from_weights_and_moments(tmp_path: Path) -> None:
     """Weights are rounded to bfloat16, so the first loss is that of the rounded weights, not of fresh ones."""
     first = trained(tmp_path)
     rounded = LineLearner()
-    load_weights(tmp_path / "weights.pt", rounded)
+    load_weights([tmp_path / "weights.pt"], rounded)
     assert torch.allclose(rounded.net[1].weight, weight_of(first), rtol=2**-8)  # type: ignore[arg-type]
     config = Config(steps=1, batch=8, lr=1e-9, weights=str(tmp_path / "weights.pt"), seed=1)
     second = trained(config=config)
@@ -133,13 +133,22 @@ def test_a_training_begins_from_weights_and_moments(tmp_path: Path) -> None:
     assert moments["net.1.weight"]["step"] == 40
     assert moments["net.1.weight"]["exp_avg"].dtype == torch.bfloat16
     optimizer = torch.optim.AdamW(rounded.parameters())
-    load_weights(tmp_path / "weights.pt", rounded, optimizer)
+    load_weights([tmp_path / "weights.pt"], rounded, optimizer)
     kept = torch.load(tmp_path / "checkpoint.pt", weights_only=True)["optimizer"]["state"][0]
     state = optimizer.state[next(rounded.parameters())]
     assert torch.allclose(state["exp_avg_sq"], kept["exp_avg_sq"], rtol=2**-8)
     assert state["exp_avg_sq"].dtype == torch.float32
     with pytest.raises(ConfigError, match="no weights of this network"):
         trained(config=replace(config, weights=str(tmp_path / "curves.csv")))
+
+
+def test_a_training_begins_from_the_mean_of_several_weights(tmp_path: Path) -> None:
+    learners = [trained(tmp_path / name, config=replace(CONFIG, steps=steps)) for name, steps in (("a", 20), ("b", 40))]
+    files = ",".join(str(tmp_path / name / "weights.pt") for name in "ab")
+    mean = trained(config=Config(steps=1, batch=8, lr=1e-9, weights=files))
+    expected = torch.stack([weight_of(each) for each in learners]).mean(dim=0)
+    assert not torch.allclose(weight_of(learners[0]), weight_of(learners[1]), rtol=0.05)
+    assert torch.allclose(weight_of(mean), expected, rtol=2**-7)
 
 
 def test_the_time_given_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
