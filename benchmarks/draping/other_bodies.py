@@ -35,14 +35,9 @@ FORWARD = np.array([0.25, -0.35, 0.9])
 SCAN_VERTICES = 3000
 SCANNED = 7  # seed of the woman in the scans
 HOLE = 2.5  # cm, radius of a hole in a scan
-HOLES: tuple[tuple[float, float, float], ...] = (
-    (0.16, 0.69, 0.0),
-    (-0.16, 0.69, 0.0),
-    (0.02, 0.42, 0.0),
-    (0.05, 0.74, -0.1),
-    (0.08, 0.58, 0.0),
-    (0.0, 1.0, 0.0),
-)
+HOLES = (
+    (0.16, 0.69, 0.0), (-0.16, 0.69, 0.0), (0.02, 0.42, 0.0), (0.05, 0.74, -0.1), (0.08, 0.58, 0.0), (0.0, 1.0, 0.0),
+)  # fmt: skip
 """Arms, a thigh, a shoulder blade, a hip and the crown, where scanners miss skin: (x, y, z) in body heights."""
 
 

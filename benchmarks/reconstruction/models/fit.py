@@ -15,19 +15,14 @@ from torch import Tensor, nn
 from benchmarks.reconstruction.derived import FIT
 from benchmarks.reconstruction.garments import GarmentSet
 from benchmarks.reconstruction.learners import Learner, TensorExamples, mean_of, sizes_from
+from benchmarks.reconstruction.models import picture_parameters
 from benchmarks.reconstruction.picture_model import DrawnPictures, PicturedExamples, PictureTokens, pictures_of
 from benchmarks.reconstruction.point_net import EncoderConfig
 from benchmarks.reconstruction.surface_net import mlp
 from gcd_dataset.scoring.inputs import PICTURE_SIZE, PICTURES
 
 TASKS = ("T7",)
-USUAL: Mapping[str, Any] = {"batch": 128, "lr": 5e-4}
-SMOKE: Mapping[str, Any] = {
-    "steps": 120, "batch": 4, "lr": 2e-3, "weight_decay": 0.0, "ema": 0.9, "log_every": 10, "checks": 2,
-}  # fmt: skip
-LARGE: Mapping[str, Any] = {"width": 256, "heads": 8, "layers": 6, "seen": 512}
-SMALL: Mapping[str, Any] = {"width": 64, "heads": 4, "layers": 1, "seen": 0, "views": 2}
-"""Sizes of the usual and of the smallest network."""
+USUAL, SMOKE, SMALL = picture_parameters.USUAL, picture_parameters.SMOKE, picture_parameters.SMALL
 LEAST_DEVIATION = 0.1  # sizes, cm
 
 
@@ -97,7 +92,7 @@ def encoded(garments: GarmentSet) -> PictureFits:
 def build(config: Mapping[str, Any]) -> FitNet:
     """The learner; ``config``: fields of ``EncoderConfig``, and ``views``. Raises ``ConfigError`` for others."""
     sizes, own = sizes_from(
-        "fit", EncoderConfig, {**LARGE, **config},
+        "fit", EncoderConfig, {**picture_parameters.LARGE, **config},
         own=("views",), without=("tokens", "region_width"), least={"seen": 0}, heads={"width": "heads"},
     )  # fmt: skip
     return FitNet(sizes, **own)
