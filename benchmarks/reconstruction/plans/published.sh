@@ -42,11 +42,13 @@ $TRAIN --model parameters --task T1 --train 40000 --set width=240 heads=6 layers
 $TRAIN --model parameters --task T1 --train 40000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 2 --validate 500 --seed 2 --out runs/T1-40k-seed2
 $TRAIN --model parameters --task T1 --train 76150 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 1 --validate 500 --out runs/T1-76k-seed0
 $TRAIN --model parameters --task T1 --train 76150 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --compile --minutes 6.5 --checks 1 --validate 500 --seed 1 --out runs/T1-76k-seed1
+$TRAIN --model parameters --task T1 --train 56158 --train-seed 7 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --weights runs/T1-76k-seed0/weights.pt --lr 3e-4 --compile --minutes 5.8 --checks 3 --validate 500 --out runs/T1-56k-on
+$TRAIN --model parameters --task T1 --train 64 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --steps 0 --weights runs/T1-76k-seed0/weights.pt,runs/T1-56k-on/weights.pt --validate 500 --out runs/T1-mean
 
 $TRAIN --model nearest --task T1-scan --train 4000 --drape --out runs/scan-reference
 $TRAIN --model parameters --task T1-scan --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/scan
 $TRAIN --model parameters --task T1-scan --set width=256 heads=4 layers=4 augmented=1 seen=0 --train 12000 --minutes 6 --checks 2 --validate 500 --compile --out runs/scan-12k
-$TRAIN --model parameters --task T1-scan --train 20000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --weights benchmarks/reconstruction/weights/T1.pt --lr 3e-4 --minutes 6 --checks 1 --validate 500 --compile --out runs/scan-20k
+$TRAIN --model parameters --task T1-scan --train 20000 --set width=240 heads=6 layers=4 augmented=1 labelled=1 seen=0 --weights runs/T1-76k-seed0/weights.pt --lr 3e-4 --minutes 6 --checks 1 --validate 500 --compile --out runs/scan-20k
 
 $TRAIN --model picture_parameters --task T2 --train 4000 --steps 700 --checks 1 --compile --out runs/families-T2-all
 $TRAIN --model picture_parameters --task T2 --train 4000 --leave-out dress --steps 700 --checks 1 --compile --out runs/families-T2-dress
