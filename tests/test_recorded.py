@@ -71,10 +71,33 @@ def fields_of(sample: Sample) -> Item:
 
 def differences(recorded: Item, made: Item) -> Iterator[str]:
     """The fields of ``made`` that differ from the recorded ones, each with its fault."""
-    old, new = canonical(recorded), canonical(made)
+    old, new = canonical(recorded), canonical(renumbered(made, recorded))
     for name in new:
         if fault := fault_of(name, old[name], new[name], draped="verts" in old):
             yield f"{name}: {fault}"
+
+
+def renumbered(made: Item, recorded: Item) -> Item:
+    """A garment whose vertices have the numbers of the recorded ones at their places on the panels.
+
+    Rounding, which differs between CPUs, decides which of the equal circles of a symmetric panel is filled first.
+    """
+    if "uv" not in made or made["uv"].shape != recorded["uv"].shape:
+        return made
+    places = []
+    for item in (made, recorded):
+        panel = np.zeros(len(item["uv"]))
+        panel[item["corners"]] = item["panel_id"][:, None]
+        places.append(np.column_stack([1e4 * panel, item["uv"]]))
+    _, row = cKDTree(places[1]).query(places[0])
+    vertex = np.zeros(len(made["box"]), int)
+    vertex[made["uv_vertex"]] = recorded["uv_vertex"][row]
+    fields = {**made, "corners": row[made["corners"]], "faces": vertex[made["faces"]]}
+    for name in ("labels", "seams"):
+        fields[name] = np.column_stack([vertex[made[name][:, 0]], made[name][:, 1:]])
+    fields |= {name: made[name][np.argsort(row)] for name in ("uv", "uv_vertex")}
+    fields["uv_vertex"] = vertex[fields["uv_vertex"]]
+    return fields | {name: made[name][np.argsort(vertex)] for name in ("box", "verts") if name in made}
 
 
 def canonical(item: Item) -> dict[str, Any]:
