@@ -218,7 +218,7 @@ def test_an_image_tile_lies_upright_and_unmirrored(printed: dict[str, np.ndarray
 
 
 def test_an_image_tile_keeps_its_shape(printed: dict[str, np.ndarray]) -> None:
-    """A tile of 10 by 20 cm whose upper half is red."""
+    """The tile is 10 cm wide and 20 cm tall; its upper half is red."""
     column = printed["tall"][:, 48].astype(int)
     assert [red > 2 * blue for red, _, blue in column[[22, 40, 58, 74]]] == [True, True, False, False]
 
