@@ -27,6 +27,7 @@ from gcd_dataset.generator.garments.sewable import (
     girth_of_cloth,
     has_narrow_strap,
     is_mismatched,
+    sharpest,
     shortest_shoulder,
     strap_width,
 )
@@ -260,7 +261,7 @@ def sharp_corner(garment: DrawnGarment) -> Reject | None:
     if angles.min() >= SHARPEST_CORNER:
         return None
     corners = [(panel.name, edge) for panel in panels for edge in range(len(panel.edges))]
-    name, edge = corners[int(angles.argmin())]
+    name, edge = corners[sharpest(angles)]
     figures = f"panel {name}, start of edge {edge}: {angles.min():.1f} degrees"
     return Reject("sharp_corner", figures, {"angle_deg": float(angles.min())})
 

@@ -32,7 +32,7 @@ DIRECTIONS = np.exp(1j * np.linspace(0.0, np.pi, 16, endpoint=False))[:, None]  
 STRAP_POINTS = 33  # points along an edge: a neckline of 80 cm lies within a millimetre or two of its chords
 SHORTEST_SHOULDER = 3.0  # cm: a shorter shoulder seam is a strap, which these programs do not draw
 SHOULDER_SHARE = 0.5  # share of the shoulder beside the neck: a doll's shoulder seam may be as short as this
-ROUNDING = 1e-6  # cm: margin of lengths against a limit, such as of the shoulder beside a neckline at its widest
+ROUNDING = 1e-6  # cm, degrees: margin against a limit, such as of the shoulder beside a neckline at its widest
 SHOULDER_TOLERANCE = 1e-3  # cm: margin of shoulder seams whose length is computed before they are drawn
 SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and of the shorter side: ungathered sides may differ by the larger of both
 TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly above the design space's maximum
@@ -167,9 +167,14 @@ def panel_fault(panels: Sequence[Panel]) -> SewingFault | None:
     angles = corner_angles(hulls)
     if angles.min() < SHARPEST_CORNER:
         corners = [panel.name for panel in panels for _ in panel.edges]
-        return SewingFault("sharp_corner", corners[int(angles.argmin())])
+        return SewingFault("sharp_corner", corners[sharpest(angles)])
     crossed = next(iter(find_crossings(panels, hulls, lengths)), None)
     return None if crossed is None else SewingFault("self_crossing", panels[crossed[0]].name)
+
+
+def sharpest(angles: Float[np.ndarray, " corners"]) -> int:
+    """The first of the sharpest corners: between mirrored panels, rounding would choose, which differs with the CPU."""
+    return int((angles <= angles.min() + ROUNDING).argmax())
 
 
 def is_mismatched(sewn: MeasuredJoin) -> bool:
