@@ -199,10 +199,10 @@ class PublishedGarmentCodeData(Garments):
 
 
 def _gathers(pattern: Pattern) -> tuple[float, ...]:
-    """The gathers of each seam; empty for a pattern with an edge that cannot be drawn, or without its corners."""
+    """The gathers of each seam; empty for a pattern with an edge that cannot be drawn."""
     try:
         return pattern.gather_ratios()
-    except (PatternError, IndexError):
+    except PatternError:
         return ()
 
 

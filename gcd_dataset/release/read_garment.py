@@ -64,6 +64,12 @@ class PublishedGarment:
             pattern = pattern_from_spec(json.loads(self._file("spec")), self.name, source=self._path("spec"))
         except (ValueError, RecursionError, SpecError) as error:
             raise self.broken("spec", str(error).removeprefix(f"{self._path('spec')}: ")) from error
+        for panel in pattern.panels:
+            for number, edge in enumerate(panel.edges):
+                if not 0 <= min(edge.start, edge.end) <= max(edge.start, edge.end) < len(panel.vertices):
+                    raise self.broken(
+                        "spec", f"{shown(panel.name)}, edge {number}: no vertex {edge.start} or {edge.end}"
+                    )
         edges = {panel.name: len(panel.edges) for panel in pattern.panels}
         for number, seam in enumerate(pattern.seams):
             for side in (seam.left, seam.right):
