@@ -474,6 +474,8 @@ def _require_sound(tensor: PatternTensor) -> None:
         (tensor.lines[:, LineColumn.KIND], len(CurveKind), "lines refer to kinds"),
         (tensor.lines[:, [LineColumn.VERTEX, LineColumn.END]], most_vertices, "lines refer to vertices"),
     )
+    if np.isinf(tensor.panels[:, ANGLES].astype(float)).any():
+        raise PatternError("an angle of a panel is infinite: correct the rows")
     for numbers, count, what in numbered:
         if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
             raise PatternError(

@@ -153,7 +153,8 @@ def score_labels(answer: VertexLabels, true: TrueLabels) -> VertexScore:
     for name, values in vars(answer).items():
         if len(values) != count:
             raise ValueError(f"{len(values)} labels {name} for {count} vertices")
-    panel, seam = assigned(answer.panels, true.panels), assigned(answer.seams, true.seams)
+    numbers = np.unique(answer.panels, return_inverse=True)[1]  # a panel may have a negative number, a seam not
+    panel, seam = assigned(numbers, true.panels), assigned(answer.seams, true.seams)
     panel_right = _among(panel, true.panels)
     on_seam, said = true.seams.any(axis=1), answer.seams >= 0
     seam_right = np.where(on_seam, _among(seam, true.seams), ~said)

@@ -14,7 +14,7 @@ An answer that cannot be read is a failure with a reason, and stops nothing.
 
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,10 +58,13 @@ class AnswerReader:
     size_of: Callable[[str], Measurements] | None = None
     """The measures of a garment's wearer, for ``design_params.yaml``."""
 
-    def read(self, folder: Path) -> dict[str, Answer]:
-        """The answers in a folder, by garment. Raises ``SpecError`` for a folder without files, or two of one name."""
+    def read(self, folder: Path, asked: Collection[str] = ()) -> dict[str, Answer]:
+        """The answers in a folder, by garment. Raises ``SpecError`` for a folder without files, or two of one name.
+
+        ``asked``: garments whose answers may be of another kind of file than the first that the folder holds.
+        """
         found: dict[str, Answer] = {}
-        for path in _files(folder):
+        for path in _files(folder, asked):
             name = garment_name(path)
             if name in found:
                 raise SpecError(f"{path}: {found[name].path} is named {shown(name)}, too: leave one of them")
@@ -101,8 +104,8 @@ class AnswerReader:
         return DrawnGarment.of(self.size_of(name), read_design(path), name=name).pattern
 
 
-def _files(path: Path) -> list[Path]:
-    """The answers in a folder: of the first kind of file that it holds at its top, else at any depth.
+def _files(path: Path, asked: Collection[str]) -> list[Path]:
+    """The answers in a folder, at its top, else at any depth: of the first kind of file, and those asked of others.
 
     Of the specifications in a folder beside each other those named as predictions count, if there are any: models copy
     the true ones there. Raises ``SpecError`` for a folder without answers.
@@ -111,10 +114,14 @@ def _files(path: Path) -> list[Path]:
         raise SpecError(f"{path}: no such folder: give a folder of answers")
     for found in (path.glob("*"), path.rglob("*")):
         files = sorted(file for file in found if not file.name.endswith(".meta.json") and file.name != REPORT)
+        chosen: list[Path] = []
         for kind in ((".json",), DESIGN_FILES, (ARRAYS,)):
-            if chosen := [file for file in files if file.suffix.lower() in kind]:
-                predicted = {file.parent for file in chosen if "pred" in file.stem}
-                return [file for file in chosen if "pred" in file.stem or file.parent not in predicted]
+            own = [file for file in files if file.suffix.lower() in kind]
+            predicted, known = {file.parent for file in own if "pred" in file.stem}, set(map(garment_name, chosen))
+            own = [file for file in own if "pred" in file.stem or file.parent not in predicted]
+            chosen += [file for file in own if not known or garment_name(file) in set(asked) - known]
+        if chosen:
+            return chosen
     raise SpecError(f"{path}: no answers: it should hold NAME.json, NAME_design_params.yaml or NAME.npz")
 
 

@@ -29,6 +29,7 @@ from gcd_dataset.scoring.inputs import TASKS
 from gcd_dataset.scoring.table import OF_ARRAYS
 
 SCHEMA = 1
+ROUNDING = 1e-4  # of means and scores in a result file
 DEVICES = ("CPU", "GPU", "")  # that drape inputs and answers; empty without drapes
 CARD: Mapping[str, type] = {"name": str, "garments": int, "minutes": float, "weights": int, "hardware": str}
 MORE: Mapping[str, type] = {"url": str, "note": str, "baseline": bool}
@@ -110,10 +111,13 @@ def _read_result(path: Path) -> dict[str, Any]:
     for name, figure in figures.items():
         for part in ("mean", "low", "high"):
             at.number(at.mapping(figure, name).get(part), f"{part} of {name}")
-    for row in at.list_of(found, "garments"):
+    garments = at.list_of(found, "garments")
+    for row in garments:
         at.text(at.mapping(row, "a garment").get("name"), "name of a garment")
-        for name in figures.keys() & {*HEADLINES.values(), STRICT, COMBINATORIAL}:
-            at.number(row.get(name), f"{name} of garment {row['name']}")
+    for name in figures.keys() & {*HEADLINES.values(), STRICT, COMBINATORIAL}:
+        values = [at.number(row.get(name), f"{name} of garment {row['name']}") for row in garments]
+        if not garments or abs(np.mean(values) - figures[name]["mean"]) > ROUNDING:
+            raise SpecError(f"{path}: the mean of {name} is not that of its garments: make it with gcd bench submit")
     return {**found, "settings": {**settings, "mini": bool(settings.get("mini"))}}
 
 
@@ -127,7 +131,8 @@ def _table(task: str, mini: bool, devices: str, results: Sequence[tuple[Path, di
     columns.sort(key=lambda name: name != headline)
     models = defaultdict[str, list[dict[str, Any]]](list)
     for _, result in results:
-        own = models[json.dumps(result["model"], sort_keys=True)]
+        card = {"baseline": False, **result["model"], "minutes": float(result["model"]["minutes"])}
+        own = models[json.dumps(card, sort_keys=True)]
         own += [result] if result not in own else []
 
     def order(row: Mapping[str, Any]) -> tuple[bool, float]:

@@ -103,9 +103,10 @@ def score(
     settings |= {"task": task.task, "mini": task.mini, "device": task.device} if task else {}
     if task and arrays:
         return _score_arrays(task, answers, files, settings, shown)
+    settings["repair"] = repair
     wearers = wearers_of(bodies or NEUTRAL)
     reader = AnswerReader(repair, (lambda name: wearers.wearer(name, legs_apart=False)[1]) if bodies else None)
-    found = reader.read(answers)
+    found = reader.read(answers, files.keys())
     remarks = [*(f"{answers}: {line}" for line in remarks_of(found, files))]
     remarks += [f"{answer.path}: {line}" for answer in found.values() for line in answer.remarks]
     pairs = (

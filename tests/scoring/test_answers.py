@@ -16,7 +16,7 @@ from gcd_dataset.records import Closure, EdgeRef, InnerLine, Pattern, Seam
 from gcd_dataset.scoring.answers import Answer, AnswerReader
 from gcd_dataset.scoring.garments import garment_name
 from gcd_dataset.spec import write_pattern
-from gcd_dataset.tensors import encode_pattern
+from gcd_dataset.tensors import PanelColumn, encode_pattern
 from tests.generator.mesh import shapes
 
 SEAMS = (Seam(EdgeRef("wb_front", 1), EdgeRef("wb_back", 3)), Seam(EdgeRef("wb_front", 3), EdgeRef("wb_back", 1)))
@@ -87,6 +87,17 @@ def test_of_a_folder_the_predictions_are_read(tmp_path: Path) -> None:
     write_pattern(garment(width=99.0), folder / "specification.json")
     write_pattern(garment(width=30.0), folder / "_predicted_specification.json")
     assert_perfect(AnswerReader().read(tmp_path / "predictions")["belt"], garment(width=30.0))
+
+
+def test_of_other_kinds_of_files_those_asked_for_are_read(tmp_path: Path) -> None:
+    """One report in JSON hid all answers in arrays."""
+    (tmp_path / "scores.json").write_text("{}")
+    for name in ("belt", "other"):
+        tensor = encode_pattern(garment())
+        save(tmp_path / f"{name}.npz", {key: getattr(tensor, key) for key in ("panels", "edges", "stitches")})
+    found = AnswerReader().read(tmp_path, ["belt", "sash"])
+    assert found.keys() == {"scores", "belt"}
+    assert_perfect(found["belt"], garment())
 
 
 def test_faults_of_networks_are_repaired_and_named(tmp_path: Path) -> None:
@@ -194,6 +205,10 @@ def test_damaged_arrays_are_failures(tmp_path: Path) -> None:
     for place in range(60, content.index(b"edges.npy") - 30, 5):
         path.write_bytes(content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :])
         assert read(path).failure, place
+    panels = tensor.panels.copy()
+    panels[0, PanelColumn.ANGLE_Y] = np.inf
+    save(path, {"panels": panels, "edges": tensor.edges, "stitches": tensor.stitches})
+    assert "an angle of a panel is infinite" in read(path).failure
     flags = content.index(b"PK\x01\x02") + 8
     path.write_bytes(content[:flags] + b"\x01" + content[flags + 1 :])
     assert "cannot be read" in read(path).failure

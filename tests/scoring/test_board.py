@@ -45,7 +45,8 @@ def test_only_equal_budgets_are_ranked(tmp_path: Path) -> None:
 
 def test_seeds_of_a_model_are_one_row(tmp_path: Path) -> None:
     """Its figures are the mean, the lowest and the highest of the seeds; a file given twice counts once."""
-    files = [result(tmp_path / f"{k}.json", "net", 0.5 + 0.1 * k) for k in range(3)]
+    files = [result(tmp_path / f"{k}.json", "net", 0.5 + 0.1 * k) for k in range(2)]
+    files.append(result(tmp_path / "2.json", "net", 0.7, minutes=8, baseline=False))
     (row,) = [line for line in tables([*files, files[0]]).splitlines() if "one GPU" in line]
     assert "| 0.600 [0.500, 0.700] |" in row
     assert row.endswith("| one GPU | 3 |")
@@ -98,6 +99,11 @@ def test_results_on_other_patterns_share_no_table(tmp_path: Path, capsys: pytest
         ({"model": {"name": "net"}}, "no garments, minutes, weights, hardware"),
         ({"model": []}, "model must be a JSON object"),
         ({"figures": {"iou": {"mean": None}}}, "mean of iou must be a number, found nothing"),
+        (
+            {"figures": {"combinatorial": dict.fromkeys(("mean", "low", "high"), 0.9)}},
+            "the mean of combinatorial is not",
+        ),
+        ({"garments": []}, "the mean of combinatorial is not that of its garments"),
         ({"garments": 5}, "garments must be a list, found 5"),
         ({"garments": [{"name": "a"}]}, "combinatorial of garment a must be a number"),
     ],

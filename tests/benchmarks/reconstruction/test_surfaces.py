@@ -170,7 +170,7 @@ RIGHT = {"panels": PANELS, "classes": np.where(PANELS, 7, 3), "seams": np.where(
     [
         ({}, PERFECT),
         ({"panels": np.where(ON_SEAM, 0, PANELS)}, PERFECT),  # a seam vertex may have either panel
-        ({"panels": 31 - 27 * PANELS, "seams": np.where(ON_SEAM, 77, -1)}, PERFECT),  # only numbers
+        ({"panels": 3 - 4 * PANELS, "seams": np.where(ON_SEAM, 77, -1)}, PERFECT),  # only numbers
         ({"panels": np.repeat([0, 1, 5], [4, 3, 3])}, {"panel_label": 0.7, "panel_count_acc": 0, "panels_exact": 0}),
         ({"panels": np.zeros(10, int)}, {"panel_label": 0.6}),
         ({"seams": np.where(np.arange(10) == 5, 0, -1)}, {"seam_label": 0.8, "on_seam_label": 0, "seam_f1": 0}),
