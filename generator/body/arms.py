@@ -5,12 +5,13 @@ from typing import Self
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.register import ARMS, PIVOT, Alignment, Registration, joints_of, registration_at
 from gcd_dataset.generator.body.surface import SkinSurface
-from gcd_dataset.records import Record
+from gcd_dataset.records import BodyPart, Record
 
 A_POSE_TOLERANCE = np.radians(20.0)
 """Arms rotated from the A-pose by less are measured without moving them [rad]; drawn bodies have up to 15°."""
@@ -104,11 +105,23 @@ def model_mesh_in_a_pose(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray
 
 
 def _arm_weights(points: np.ndarray, model: Registration) -> Float[np.ndarray, "n 2"]:
-    """Skinning weights of both arms at points, interpolated on the nearest faces of the model."""
+    """Skinning weights of both arms at points, interpolated on the nearest faces of the model.
+
+    Of an arm, or of the rest of the body, as is the nearest vertex: the flank may be nearer to a hanging arm's faces.
+    """
     from trimesh.triangles import points_to_barycentric  # imported here: see SkinSurface.nearest
 
-    faces = body_model().faces
-    near = SkinSurface.of(model.vertices, faces).nearest(points)
-    triangles = faces[near.faces]
-    weights = points_to_barycentric(model.vertices[triangles], near.points)
-    return np.einsum("nc,nca->na", np.clip(weights, 0.0, 1.0), body_model().skin[triangles][:, :, list(ARMS)])
+    body, found = body_model(), np.zeros((len(points), len(ARMS)))
+    on_arm = np.isin(body.parts, [part.value for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS)])
+    of_arm = on_arm[cKDTree(model.vertices).query(points)[1]]
+    for rows, faces in (
+        (of_arm, body.faces[on_arm[body.faces].any(axis=1)]),
+        (~of_arm, body.faces[~on_arm[body.faces].any(axis=1)]),
+    ):
+        if not rows.any():
+            continue
+        near = SkinSurface.of(model.vertices, faces).nearest(points[rows])
+        triangles = faces[near.faces]
+        shares = np.clip(points_to_barycentric(model.vertices[triangles], near.points), 0.0, 1.0)
+        found[rows] = np.einsum("nc,nca->na", shares, body.skin[triangles][:, :, list(ARMS)])
+    return found

@@ -1,6 +1,6 @@
 """Measures any body: the model's mesh by known vertices, any other mesh by landmarks found on it or given."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -162,12 +162,16 @@ def require_body_alone(scan: BodyScan, surface: SkinSurface, registration: Regis
             f"{name}: {share:.0%} of its surface lies more than {STRAY:.0f} cm off the body in it: "
             "leave only the body in it (no floor, chair, loose clothes or second person)"
         )
-    for end, model, words in (
-        (corners[..., Y].max(), registration.vertices[:, Y].max(), "above the head"),
-        (-corners[..., Y].min(), -registration.vertices[:, Y].min(), "below the soles"),
-    ):
-        if end - model > STICKS_OUT:
-            raise BodyError(f"{name}: something lies {end - model:.0f} cm {words}: leave only the body in the mesh")
+    for words, excess in beyond_model(surface, registration).items():
+        if excess > STICKS_OUT:
+            raise BodyError(f"{name}: something lies {excess:.0f} cm {words}: leave only the body in the mesh")
+
+
+def beyond_model(surface: SkinSurface, registration: Registration) -> dict[str, float]:
+    """How far a surface reaches beyond the model's head and soles [cm], as hair and heels do."""
+    levels, model = surface.corners[..., Y], registration.vertices[:, Y]
+    ends = {"above the head": levels.max() - model.max(), "below the soles": model.min() - levels.min()}
+    return {words: float(excess) for words, excess in ends.items()}
 
 
 def require_skin(scan: BodyScan, marks: Landmarks, sites: Sites, result: MeasureResult, name: str) -> None:
@@ -293,6 +297,8 @@ class FoundBody(Record):
     """Possible error of the underbust, from the uncertainty of its level [cm]."""
     by_vertex: bool
     """Whether the mesh is the body model's, so that landmarks and parts are known by vertex."""
+    beyond: Mapping[str, float]
+    """See ``beyond_model``."""
 
 
 def find_body(
@@ -317,7 +323,7 @@ def find_body(
         upright = upright.in_cm(unit_of(float(np.ptp(upright.scan.vertices[:, 1])), name, height))
     scan, scale, shift, misfit = upright.scan, upright.scale, upright.shift, registration.alignment.misfit
     require_body_alone(scan, upright.surface, registration, name)
-    skin = ~(scan.loose | scan.outside)
+    beyond, skin = beyond_model(upright.surface, registration), ~(scan.loose | scan.outside)
     known = None if given is not None else _model_vertices(*kept_mesh(vertices, faces, skin), upright, registration)
     if known is not None:
         result, marks = measure_model_mesh(known), model_landmarks(known)
@@ -325,7 +331,7 @@ def find_body(
             parts = np.full(len(vertices), BodyPart.INTERNAL.value, np.uint8)
             parts[skin] = body_model().parts
         arm_turn = turn_off_a_pose(result.measurements.arm_pose_angle)
-        return FoundBody(result, marks, parts, upright, misfit, arm_turn, underbust_error=0.0, by_vertex=True)
+        return FoundBody(result, marks, parts, upright, misfit, arm_turn, 0.0, by_vertex=True, beyond=beyond)
     labels = find_parts(scan.vertices * scale + shift, registration)
     if parts is not None:
         labels[scan.source[skin]] = parts[skin]
@@ -353,6 +359,7 @@ def find_body(
         arm_turn=posed.turn,
         underbust_error=underbust_uncertainty(posed.scan, sites, result, misfit),
         by_vertex=False,
+        beyond=beyond,
     )
 
 

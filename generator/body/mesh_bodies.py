@@ -15,6 +15,7 @@ from jaxtyping import Float, Int, UInt8
 from gcd_dataset.bodyfiles import obj_lines, read_body_parts, read_measurements, require_same_body
 from gcd_dataset.errors import BodyError
 from gcd_dataset.files import read_whole
+from gcd_dataset.generator.body.arms import A_POSE_ANGLE
 from gcd_dataset.generator.body.landmarks import read_landmarks
 from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.register import UNITS, unit_of
@@ -132,6 +133,8 @@ READERS: Mapping[str, Callable[[bytes, Path], _Mesh]] = {
 
 log = logging.getLogger(__name__)
 
+NEAR_A_POSE, SLIDES = 8.0, 0.15  # degrees; cm of ``shoulder_w`` for each
+HAIR = 2.0  # cm above the model's head or below its soles; bodies of our shape space have up to 0.8
 UNUSUAL_MISFIT = 0.6  # cm; more is reported as an unusual body; GarmentCode's mean bodies have 0.3 to 0.4
 SURE_SHOULDER = 0.96  # confidence of the shoulders above which moving the arms costs no accuracy; usually 0.99
 ARM_LANDMARKS = ("shoulder_left", "shoulder_right", "underarm_right")
@@ -272,6 +275,16 @@ def _remarks(file: _MeshFile, found: FoundBody) -> list[str]:
         remarks.append(f"left out: {others} triangles not connected to the body, such as a floor")
     if found.arm_turn:
         remarks.append(f"arms {np.degrees(found.arm_turn):.0f}° off the A-pose, moved there to be measured")
+    elif (off := np.degrees(abs(found.result.measurements.arm_pose_angle - A_POSE_ANGLE))) > NEAR_A_POSE:
+        remarks.append(
+            f"arms {off:.0f}° off the A-pose, measured as they are: shoulder_w may be {SLIDES * off:.0f} cm off"
+        )
+    for words, excess in found.beyond.items():
+        if excess > HAIR:
+            remarks.append(
+                f"doubtful: the mesh reaches {excess:.0f} cm {words}, as hair and heels do: check height and head_l, "
+                "and all measures of a mesh that was scaled to a height, or remove it"
+            )
     if found.by_vertex:
         return [*remarks, "mesh of the body model: landmarks known by vertex"]
     if found.arm_turn:
