@@ -147,7 +147,8 @@ def parts_table() -> str:
     """The parts of the body, and the labels of edges."""
     parts = ", ".join(f"{part.value} {_words(part)}" for part in BodyPart)
     labels = ", ".join(f"`{role.value}`" for role in EdgeRole)
-    return f"- `BodyPart`: {parts}.\n- Labels of edges (`EdgeRole`): {labels}; `meta.edge_labels` lists those in use."
+    used = "`meta.edge_labels` lists what the numbers refer to"
+    return f"- `BodyPart`: {parts}.\n- Labels of edges (`EdgeRole`): {labels}; {used}."
 
 
 def measures_table() -> str:

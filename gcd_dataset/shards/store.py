@@ -7,6 +7,7 @@ import shlex
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from gcd_dataset.shards.access import REMEDY, Place, read_file, reading
 from gcd_dataset.shards.cache import default_cache
 from gcd_dataset.shards.index import SplitIndex, index_name
 from gcd_dataset.shards.layout import LARGEST_FILE, LARGEST_JSON, Bytes
-from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, SplitRecord, read_manifest
+from gcd_dataset.shards.manifest import HASH, MANIFEST, Manifest, ShardRecord, SplitRecord, read_manifest
 from gcd_dataset.shards.meta import decode_json
 from gcd_dataset.shards.notes import Gathered, gather, shards_named
 
@@ -160,17 +161,21 @@ class FolderStore(Store):
         return f"{self._command(split)} goes on"
 
     def _command(self, split: str) -> str:
-        """The command that continues the data set; ``the same command`` where the plan lacks some of its options."""
+        """The command that continues the data set; ``the same command`` where the plan lacks some of its options.
+
+        Of a file, such as a chart of sizes, the plan has the hash of the content.
+        """
         plan = self.manifest().splits[split].plan
         words = ["gcd", "generate", str(self.folder)]
-        if plan.named is not None:
+        if plan.named is not None and (files("gcd_dataset") / f"generator/recipes/{plan.named[0]}.toml").is_file():
             return shlex.join([*words, "--recipe", plan.named[0]])
-        if "stage" not in plan.recipe or plan.recipe.get("design"):
+        from_file = any(HASH.fullmatch(str(value)) for value in plan.recipe.values())
+        if plan.named is not None or "stage" not in plan.recipe or plan.recipe.get("design") or from_file:
             return "the same command"
         words += ["--count", str(plan.count), "--seed", str(plan.seed)]
         for name, value in plan.recipe.items():
             if name not in ("design", "mesh", "part"):  # not options
-                words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
+                words.append(f"--{name.replace('_', '-')}" + ("" if value is True else f"={value}"))
         return shlex.join(words)
 
     def _gather(self) -> Gathered:

@@ -84,6 +84,9 @@ def test_a_field_of_a_later_stage_is_refused_at_once(sets: dict[str, Path], way:
     message = f"no field {field}: {reason}: choose among"
     with pytest.raises(ConfigError, match=message):
         opened(sets, stage)[way](fields=["panels", field])
+    with pytest.raises(ConfigError, match="no field nonsense: there are meta") as caught:
+        opened(sets, stage)[way](fields=["nonsense"])
+    assert field not in str(caught.value).split(", ")
 
 
 @pytest.mark.parametrize("way", WAYS)
