@@ -84,7 +84,7 @@ def _mid_thigh(size: Measurements) -> float:
 NARROW, WIDE = 4.0, 9.0  # cm: largest height of a narrow and least of a wide waistband
 LOOSE = 1.15  # least girth of a loose waistband over the body's
 AT_WAIST, BELOW_WAIST = 0.95, 0.7  # least rise of a top at the waist, and of one just below it
-SEAM_RAISED, SEAM_DROPPED = 0.92, 1.1  # depth of a waist seam over nape to waist: raised below, dropped above
+SEAM_RAISED, SEAM_DROPPED = 0.92 - 1e-6, 1.1 + 1e-6  # of nape to waist; the margin is for rounding errors
 KNEE_LENGTH: Words = ("knee-length",)
 PLAIN_HEM: Words = ("a plain hem", "an even hem")
 PLAIN_LEGS: Words = ("plain leg ends", "plain hems")

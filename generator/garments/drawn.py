@@ -14,6 +14,7 @@ from gcd_dataset.generator.garments.trim import trim_details
 from gcd_dataset.records import Measurements, Panel, PanelRole, Pattern
 
 SAME = 0.5  # cm: halves whose panels differ by less are symmetrical
+DIGITS = 6  # of measured ratios: rounding errors, which differ between CPUs, decide no style
 TORSO, BAND = (
     ("right_ftorso", "right_btorso", "left_ftorso", "left_btorso"),
     ("wb_front", "wb_front_right", "wb_front_left", "wb_back"),
@@ -34,7 +35,7 @@ def part_of(panel: Panel) -> str:
 def gather(pattern: Pattern, above: str, below: str) -> float:
     """Length of the lower part's edges over the upper part's, over all seams between them; 1 without such seams."""
     up, down = _boundaries(pattern).get((above, below), (1.0, 1.0))
-    return down / up
+    return round(down / up, DIGITS)
 
 
 def gather_below(pattern: Pattern) -> float:
@@ -61,7 +62,7 @@ def most_gathered(pattern: Pattern) -> float:
     1 or more. The seams of a boundary count together, since ease moves cloth between front and back.
     """
     sides = (lengths for parts, lengths in _boundaries(pattern).items() if OTHER not in parts)
-    return max((own / other for own, other in sides), default=1.0)
+    return max((round(own / other, DIGITS) for own, other in sides), default=1.0)
 
 
 def _boundaries(pattern: Pattern) -> dict[tuple[str, str], tuple[float, float]]:
@@ -171,7 +172,7 @@ def _hem(size: Measurements, design: GarmentDesign) -> Tag:
 
 def hem_depth(size: Measurements, design: GarmentDesign) -> float:
     """Depth of the lowest hem below the hips, as a fraction of hips to floor."""
-    return (hem_below_waist(size, design) - size.hips_line) / size.leg_length
+    return round((hem_below_waist(size, design) - size.hips_line) / size.leg_length, DIGITS)
 
 
 def hem_below_waist(size: Measurements, design: GarmentDesign) -> float:

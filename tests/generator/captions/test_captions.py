@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -373,6 +374,16 @@ def test_tags_and_captions_name_what_is_drawn_and_not_what_is_declared(
     assert named <= found
     assert not others & found
     agree_with_the_caption(worn, 0)
+
+
+@pytest.mark.parametrize("size", [WOMAN, MAN, STOUT, replace(WOMAN, waist_line=39.4)])
+def test_a_limit_itself_belongs_to_the_same_style_for_every_wearer(size: Measurements) -> None:
+    """Gathers of 1.2, a hem at 0.8 of the way to the floor, a waist seam at 0.92 of nape to waist."""
+    sleeve = {"sleeveless": False, "connect_ruffle": 1.0, "cuff": {"type": "CuffBand", "top_ruffle": 1.2}}
+    assert "ruffled" in garment_tags(*drawn(size, meta=SHIRT, sleeve=sleeve))
+    assert "midi" in garment_tags(*drawn(size, meta=SKIRT, flare_skirt={"length": 0.8}))
+    dress = drawn(size, meta={"upper": "Shirt", "bottom": "Skirt2"}, shirt={"length": 0.92})
+    assert "seam at the natural waist" in dress.captions()["full"]
 
 
 def test_every_garment_has_one_kind_and_words_of_the_vocabulary(wardrobe: list[Worn]) -> None:
