@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from decimal import Decimal
 from pathlib import Path
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, OutputError
 from gcd_dataset.files import make_folder, user_path, writing_to
 from gcd_dataset.shards.access import unlock
 
@@ -60,9 +60,18 @@ def touch(shard: Path) -> None:
 
 
 @contextlib.contextmanager
+def naming_options() -> Iterator[None]:
+    """Name in an ``OutputError`` the options that give another cache."""
+    try:
+        yield
+    except OutputError as error:
+        raise OutputError(f"{error}: cache_dir= or GCD_CACHE gives the cache") from error
+
+
+@contextlib.contextmanager
 def filling(shard: Path) -> Iterator[None]:
     """Make the folder of a shard if it is missing; no process evicts it during the block. Raises ``OutputError``."""
-    with contextlib.ExitStack() as lock:
+    with naming_options(), contextlib.ExitStack() as lock:
         while True:
             make_folder(shard.parent)
             with writing_to(shard), contextlib.suppress(FileNotFoundError):  # evicted before it was locked

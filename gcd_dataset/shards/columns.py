@@ -23,7 +23,7 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.files import open_whole
 from gcd_dataset.records import MEASURES
 from gcd_dataset.shards.access import mapped, reading
-from gcd_dataset.shards.cache import filling, make_room, touch
+from gcd_dataset.shards.cache import filling, make_room, naming_options, touch
 from gcd_dataset.shards.codec import DECODERS, DOUBLE, MISSING_MEASURE, SECTIONS, decode_fields, read_measures
 from gcd_dataset.shards.layout import Bytes, is_picture, key_of, member_of, members_of
 from gcd_dataset.shards.reader import ShardReader
@@ -93,7 +93,8 @@ class Columns:
         for views, fields in self._of_tar.items():
             missing = [self._index.record.shards[shard] for shard in unopened if not self._are_made(shard, fields)]
             if missing:
-                self._store.ensure(self._reader.split, missing, views=views)
+                with naming_options():
+                    self._store.ensure(self._reader.split, missing, views=views)
 
     def has(self, position: int) -> bool:
         """Whether the columns of a sample are made."""

@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 from gcd_dataset.check.files import set_faults
-from gcd_dataset.errors import ConfigError, GcdError, ShardError
+from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making.run import index
@@ -314,11 +314,14 @@ def test_room_is_made_beside_what_other_processes_evict(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize("mode", [0o555, 0])
-def test_a_cache_that_cannot_be_written_is_named(mode: int) -> None:
+@pytest.mark.parametrize("scheme", ["", "file://"])
+def test_a_cache_that_cannot_be_written_is_named(mode: int, scheme: str) -> None:
+    message = r"cache/shards.* \(Permission denied\): .*: cache_dir= or GCD_CACHE gives the cache$"
     with public_folder() as place:
-        dataset = GarmentDataset(fill(place / "data", range(3)), fields=["verts"], cache_dir=place / "cache")
+        source = f"{scheme}{fill(place / 'data', range(3))}"
+        dataset = GarmentDataset(source, fields=["verts"], cache_dir=place / "cache")
         (place / "cache" / "shards").mkdir(parents=True)
-        with forbidden(place / "cache" / "shards", mode), pytest.raises(GcdError, match=r"cache/shards.* \(Permission"):
+        with forbidden(place / "cache" / "shards", mode), pytest.raises(OutputError, match=message):
             dataset[[0]]
 
 
