@@ -176,7 +176,7 @@ class GarmentDataset(Garments):
 
     The cache:
 
-    - ``cache_dir``, ``max_cache_size``: the folder of columns and of remote shards, by default
+    - ``cache_dir``, ``max_cache_size``: the folder of columns and of remote shards, by default ``$GCD_CACHE`` or
       ``~/.cache/gcd_dataset``, and its limit, by default ``"50 GB"``; ``None`` for no limit. Any number of processes
       may share a cache.
     - ``window``: number of shards among which a loader's random order moves freely, 0 for all; by default 32 for a
@@ -192,8 +192,9 @@ class GarmentDataset(Garments):
     - ``endpoint``, ``token``: address and token of the Hub; by default from ``HF_ENDPOINT`` and ``hf auth login``.
 
     Raises ``ShardError`` for a missing split, or a damaged or newer source, ``RemoteError`` for a server that does not
-    answer, and ``ConfigError`` for options that contradict each other and for a field that no garment of the split
-    holds, such as ``verts`` of garments made up to stage ``mesh``.
+    answer, ``OutputError`` for a cache or a ``root`` that cannot be written, and ``ConfigError`` for options that
+    contradict each other and for a field that no garment of the split holds, such as ``verts`` of garments made up to
+    stage ``mesh``.
     """
 
     reads_only = True

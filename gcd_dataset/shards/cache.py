@@ -11,11 +11,13 @@ import fcntl
 import os
 import re
 import shutil
+from collections.abc import Iterator
 from decimal import Decimal
 from pathlib import Path
 
-from gcd_dataset.errors import ConfigError
-from gcd_dataset.files import user_path, writing_to
+from gcd_dataset.errors import ConfigError, OutputError
+from gcd_dataset.files import make_folder, user_path, writing_to
+from gcd_dataset.shards.access import unlock
 
 SIZE = "50 GB"
 """The limit of the cache by default."""
@@ -57,11 +59,49 @@ def touch(shard: Path) -> None:
         os.utime(shard)
 
 
+@contextlib.contextmanager
+def naming_options() -> Iterator[None]:
+    """Name in an ``OutputError`` the options that give another cache."""
+    try:
+        yield
+    except OutputError as error:
+        raise OutputError(f"{error}: cache_dir= or GCD_CACHE gives the cache") from error
+
+
+@contextlib.contextmanager
+def filling(shard: Path) -> Iterator[None]:
+    """Make the folder of a shard if it is missing; no process evicts it during the block. Raises ``OutputError``."""
+    with naming_options(), contextlib.ExitStack() as lock:
+        while True:
+            make_folder(shard.parent)
+            with writing_to(shard), contextlib.suppress(FileNotFoundError):  # evicted before it was locked
+                with contextlib.suppress(FileExistsError):
+                    shard.mkdir()
+                lock.enter_context(_locked(shard, fcntl.LOCK_SH))
+                break
+        touch(shard)  # evicted last by other machines, which the lock may not reach
+        yield
+
+
+@contextlib.contextmanager
+def _locked(path: Path, kind: int) -> Iterator[None]:
+    """Hold an ``flock`` on a shard or a download. Raises ``OSError``, also where another process has just moved it."""
+    file = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(file, kind)
+        if not os.path.samestat(os.fstat(file), path.stat()):
+            raise FileNotFoundError(path)
+        yield
+    finally:
+        unlock(file)
+
+
 def make_room(shards: Path, size: int, limit: int | None) -> None:
     """Evict the least recently used shards, until ``size`` bytes fit into the cache of at most ``limit`` bytes.
 
     Mapped files stay readable until they are closed. All is counted again after each 1/64 of the limit, so processes
-    that fill the cache together may exceed it by that. Raises ``ConfigError`` for more bytes than the limit.
+    that fill the cache together may exceed it by that, and by the shards that they fill. Raises ``ConfigError`` for
+    more bytes than the limit.
     """
     if limit is None:
         return
@@ -101,15 +141,12 @@ def _use_of(path: Path) -> tuple[int, int]:
 
 
 def _evict(path: Path) -> bool:
-    """Remove a shard, or a download that no process continues; whether it is gone."""
-    with contextlib.suppress(OSError):
+    """Remove a shard that no process fills, or a download that none continues; whether its bytes are gone."""
+    with contextlib.suppress(OSError), _locked(path, fcntl.LOCK_EX | fcntl.LOCK_NB):
         if path.is_dir():
             # Renamed first: another process finds the whole folder, or none.
-            path = path.rename(path.with_name(EVICTED + path.name))
-            shutil.rmtree(path, ignore_errors=True)
-            return True
-        with path.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(path.rename(path.with_name(EVICTED + path.name)), ignore_errors=True)
+        else:
             path.unlink()
-            return True
-    return False
+        return True
+    return path.suffix != ".part" and not path.exists()  # a download may have become a file of its shard

@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.files import make_folder, open_whole
+from gcd_dataset.files import open_whole
 from gcd_dataset.records import MEASURES
 from gcd_dataset.shards.access import mapped, reading
-from gcd_dataset.shards.cache import make_room, touch
+from gcd_dataset.shards.cache import filling, make_room, naming_options, touch
 from gcd_dataset.shards.codec import DECODERS, DOUBLE, MISSING_MEASURE, SECTIONS, decode_fields, read_measures
 from gcd_dataset.shards.layout import Bytes, is_picture, key_of, member_of, members_of
 from gcd_dataset.shards.reader import ShardReader
@@ -93,7 +93,8 @@ class Columns:
         for views, fields in self._of_tar.items():
             missing = [self._index.record.shards[shard] for shard in unopened if not self._are_made(shard, fields)]
             if missing:
-                self._store.ensure(self._reader.split, missing, views=views)
+                with naming_options():
+                    self._store.ensure(self._reader.split, missing, views=views)
 
     def has(self, position: int) -> bool:
         """Whether the columns of a sample are made."""
@@ -129,10 +130,9 @@ class Columns:
             try:
                 columns.append(_open_column(folder / name))
             except (OSError, ValueError):
-                self._make(
-                    shard, [each for each, file in self._files.items() if each == field or not (folder / file).exists()]
-                )
-                with reading(folder / name):
+                with filling(folder), reading(folder / name):
+                    missing = [each for each, file in self._files.items() if not (folder / file).exists()]
+                    self._make(shard, [*missing, field])
                     columns.append(_open_column(folder / name))
         touch(folder)
         if len(self._open) >= MOST_OPEN:
@@ -144,7 +144,6 @@ class Columns:
         """Make columns of a shard by one pass over its tar, and one over its pictures."""
         shard = self._index.record.shards[number]
         numbers = self._index.number[self._starts[number] : self._starts[number + 1]].tolist()
-        folder = make_folder(self._folder(number))
         for views, of_tar in self._of_tar.items():
             chosen = [field for field in of_tar if field in fields]
             if not chosen:
@@ -163,7 +162,7 @@ class Columns:
             size = sum(rows.nbytes for column in columns.values() for rows in column)
             make_room(self._store.cache, size, self._limit)
             for field, column in columns.items():
-                _write_column(folder / self._files[field], column)
+                _write_column(self._folder(number) / self._files[field], column)
 
 
 def _file_name(field: str, single: bool) -> str:

@@ -17,11 +17,11 @@ import pytest
 from PIL import Image
 
 from gcd_dataset.check.files import set_faults
-from gcd_dataset.errors import ConfigError, GcdError, ShardError
+from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.making.run import index
-from gcd_dataset.shards import ShardReader, decode_sample, encode_sample
+from gcd_dataset.shards import ShardReader, cache, columns, decode_sample, encode_sample
 from gcd_dataset.shards.access import Place
 from gcd_dataset.shards.cache import make_room, size_in_bytes
 from gcd_dataset.shards.codec import decode_field
@@ -269,20 +269,59 @@ def test_damaged_columns_are_made_again(folder: Path, tmp_path: Path, damage: Ca
     assert GarmentDataset(folder, **options)[[1]][0]["verts"].equal(first)
 
 
-def test_room_is_made_beside_what_other_processes_evict(tmp_path: Path) -> None:
+def test_a_cache_smaller_than_the_set_is_read_again_with_more_fields(folder: Path, tmp_path: Path) -> None:
+    options: Any = {"cache_dir": tmp_path / "cache", "max_cache_size": 7_500, "window": 1}
+    for fields in (["meta"], ["meta", "verts"]):
+        dataset = GarmentDataset(folder, fields=fields, **options)
+        assert [len(dataset[[index]]) for index in range(6)] == [1] * 6
+
+
+def test_a_shard_is_not_evicted_while_it_is_filled(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shards, write = tmp_path / "cache" / "shards", columns._write_column
+
+    def write_beside_another_process(path: Path, rows: Any) -> None:
+        make_room(shards, 1000, 1000)
+        write(path, rows)
+
+    monkeypatch.setattr(columns, "_write_column", write_beside_another_process)
+    GarmentDataset(folder, fields=["verts", "faces"], cache_dir=tmp_path / "cache")[[0]]
+    assert len(list(shards.glob("*/*"))) == 2
+    make_room(shards, 1000, 1000)
+    assert not list(shards.iterdir())
+
+
+def test_room_is_made_beside_what_other_processes_evict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / ".abc.tar.part").symlink_to(tmp_path / "gone")
-    make_room(tmp_path, 10, 1000)
+    for number in range(2):
+        (tmp_path / f"{number}").mkdir()
+        (tmp_path / f"{number}" / "tar").write_bytes(bytes(300))
+        os.utime(tmp_path / f"{number}", (number, number))
+
+    def use_before_eviction(path: Path, use_of: Any = cache._use_of) -> Any:
+        use = use_of(path)
+        if path.name == "0":
+            shutil.rmtree(path)
+        return use
+
+    monkeypatch.setattr(cache, "_use_of", use_before_eviction)
+    make_room(tmp_path, 500, 1000)
+    assert (tmp_path / "1").exists()
     assert size_in_bytes("9007199254740993") == 9007199254740993
     with pytest.raises(ConfigError, match="max_cache_size='9999"):
         size_in_bytes("9" * 400)
 
 
 @pytest.mark.parametrize("mode", [0o555, 0])
-def test_a_cache_that_cannot_be_written_is_named(mode: int) -> None:
+@pytest.mark.parametrize("scheme", ["", "file://"])
+def test_a_cache_that_cannot_be_written_is_named(mode: int, scheme: str) -> None:
+    message = r"cache/shards.* \(Permission denied\): .*: cache_dir= or GCD_CACHE gives the cache$"
     with public_folder() as place:
-        dataset = GarmentDataset(fill(place / "data", range(3)), fields=["verts"], cache_dir=place / "cache")
+        source = f"{scheme}{fill(place / 'data', range(3))}"
+        dataset = GarmentDataset(source, fields=["verts"], cache_dir=place / "cache")
         (place / "cache" / "shards").mkdir(parents=True)
-        with forbidden(place / "cache" / "shards", mode), pytest.raises(GcdError, match=r"cache/shards.* \(Permission"):
+        with forbidden(place / "cache" / "shards", mode), pytest.raises(OutputError, match=message):
             dataset[[0]]
 
 
