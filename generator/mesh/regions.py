@@ -93,7 +93,7 @@ def _bridged(
                 return points, segments
             inside, others = divided
         a, b = _nearest(points, segments, inside, others)
-        pieces = ceil(float(np.linalg.norm(points[b] - points[a])) / spacing)
+        pieces = ceil(float(np.linalg.norm(points[b] - points[a])) / spacing - 1e-9)  # rounding adds none
         share = np.arange(1, pieces)[:, None] / pieces
         points = np.concatenate([points, (1.0 - share) * points[a] + share * points[b]])
         segments = segments + list(pairwise([a, *range(count, len(points)), b]))

@@ -83,6 +83,17 @@ def test_any_line_is_followed(start: tuple[float, float], end: tuple[float, floa
     assert flat_areas(mesh.uv[mesh.corners]).min() > 0.0
 
 
+def test_rounding_adds_no_point_between_a_line_and_the_outline() -> None:
+    """A line, three spacings from a corner where the outline turns inwards; numpy may find 3.0000000000000004."""
+    corners = [(0, 0), (0, -20), (20, -20), (20, 20), (-20, 20), (-20, 0)]
+    sizes = set()
+    for away in (3.0 - 1e-12, 3.0, 3.0 + 1e-12):
+        start = away * np.array([np.cos(0.68), np.sin(0.68)])
+        own = replace(panel("a", corners), vertices=np.array([*corners, start, 3 * start]), lines=(InnerLine(6, 7),))
+        sizes.add(len(build_box_mesh(sewn(own), spacing=1.0).vertices))
+    assert len(sizes) == 1
+
+
 def overlapping(closed: tuple[float, float] = (0.0, 1.0)) -> Pattern:
     """Two squares of 10 cm that overlap by 4 cm: each has a line 2 cm from its edge, and the two lines are sewn."""
     halves = []
