@@ -7,6 +7,7 @@ import shlex
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,12 @@ from gcd_dataset.shards.access import REMEDY, Place, read_file, reading
 from gcd_dataset.shards.cache import default_cache
 from gcd_dataset.shards.index import SplitIndex, index_name
 from gcd_dataset.shards.layout import LARGEST_FILE, LARGEST_JSON, Bytes
-from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, SplitRecord, read_manifest
+from gcd_dataset.shards.manifest import HASH, MANIFEST, Manifest, ShardRecord, SplitRecord, read_manifest
 from gcd_dataset.shards.meta import decode_json
 from gcd_dataset.shards.notes import Gathered, gather, shards_named
 
 DOWNLOAD_FILE = "download.json"
+RECIPES = files("gcd_dataset") / "generator" / "recipes"
 OPEN_FILES = 256  # most open files, out of the 1024 descriptors that most systems allow a process
 
 
@@ -160,17 +162,21 @@ class FolderStore(Store):
         return f"{self._command(split)} goes on"
 
     def _command(self, split: str) -> str:
-        """The command that continues the data set; ``the same command`` where the plan lacks some of its options."""
+        """The command that continues the data set; ``the same command`` where the plan lacks a file of its options."""
         plan = self.manifest().splits[split].plan
         words = ["gcd", "generate", str(self.folder)]
         if plan.named is not None:
-            return shlex.join([*words, "--recipe", plan.named[0]])
-        if "stage" not in plan.recipe or plan.recipe.get("design"):
+            is_ours = (RECIPES / f"{plan.named[0]}.toml").is_file()
+            return shlex.join([*words, "--recipe", plan.named[0]]) if is_ours else "the same command"
+        options = {name: value for name, value in plan.recipe.items() if name not in ("design", "mesh", "part")}
+        hashed = any(HASH.fullmatch(str(value)) for value in options.values())  # in place of a file
+        if "stage" not in options or plan.recipe.get("design") or hashed:
             return "the same command"
         words += ["--count", str(plan.count), "--seed", str(plan.seed)]
-        for name, value in plan.recipe.items():
-            if name not in ("design", "mesh", "part"):  # not options
-                words += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
+        for name, value in options.items():
+            option, text = f"--{name.replace('_', '-')}", str(value)
+            joined = [f"{option}={text}"] if text.startswith("-") else [option, text]
+            words += [option] if value is True else joined
         return shlex.join(words)
 
     def _gather(self) -> Gathered:
