@@ -122,6 +122,14 @@ def test_the_meta_table_lists_the_keys_of_a_meta_file() -> None:
     assert told == {*GARMENT, *SOMETIMES, "holds", "recipe_sha256", "crc32", "crc32_before"}
 
 
+def test_every_rule_of_rejects_and_redraws_is_described() -> None:
+    told = (DOCS / "limits.md").read_text().split("## Rules of the sampler")[1]
+    pattern = re.compile(r'(?:(?:Reject|Redraw|SewingFault)\(|\.(?:within|again)\(\w+, |rule=)"(\w+)"')
+    rules = {rule for path in (ROOT / "generator").rglob("*.py") for rule in pattern.findall(path.read_text())}
+    assert len(rules) > 20
+    assert not {rule for rule in rules if f"`{rule}`" not in told}
+
+
 def test_every_field_has_a_unit_and_arrays_an_axis() -> None:
     assert set(tables.UNITS) == set(FIELDS)
     assert set(tables.ROWS) == {field for field, member in FIELDS.items() if member.endswith(".z")}
