@@ -64,7 +64,7 @@ garments              JSON type  holds                                          
                                  only with ``ease``: ``ease``, for each of ``records.EASE`` 3     ``""``, ``"{}"``;
                                  floats [cm]: cloth as cut, body, cloth as worn                   -1.0
 ``crc32``             object     CRC-32 of every other member, ints
-``crc32_before``      int        CRC-32 of the bytes of this file before this key
+``crc32_before``      int        CRC-32 of the bytes of this file before the comma of this key
 ====================  =========  ===============================================================  =====================
 
 (*) missing where it was not computed, such as ``grade`` without a drape, or ``tags`` of a published garment.
