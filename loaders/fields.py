@@ -157,11 +157,12 @@ def select_present_fields(
     choose from.
     """
     available = tuple(available)
-    present = [field for field in select_fields(None, available) if split_worn(field)[1] not in absent]
+    present = [field for field in available if split_worn(field)[1] not in absent]
     if fields is None:
         return tuple(present)
-    requested = (fields,) if isinstance(fields, str) else tuple(fields)
-    if missing := [field for field in requested if split_worn(field)[1] in absent]:
+    requested = {fields} if isinstance(fields, str) else set(fields)
+    known = dict.fromkeys((*available, *absent))
+    if missing := [field for field in known if field in requested and field not in present]:
         reason = absent[split_worn(missing[0])[1]]
         raise ConfigError(f"no field {', '.join(missing)}: these garments {reason}: choose among {', '.join(present)}")
     return select_fields(requested, (*present, *_joint(present)))

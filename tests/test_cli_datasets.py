@@ -6,15 +6,18 @@ import shlex
 import shutil
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from gcd_dataset.cli import main
+from gcd_dataset.cli import _parse, main
 from gcd_dataset.generator.body import draw_shape
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import BodyDataset
 from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.options import given_options
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.store import FolderStore
@@ -151,6 +154,47 @@ def test_a_stopped_data_set_is_reported_as_unfinished(
     assert main(["info", str(out)]) == 0
     assert "unfinished" not in said(capsys)
     assert main(publish) == 0
+
+
+PEOPLE = {"stage": "body", "bodies": "female", "mesh": "0" * 64}
+POSES = "[[poses]]\nforearm = [30, 0, 0]\n"
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"maps": True, "views": 2, "poses": "walk"}, None),
+        ({"stage": "mesh", "sizes": "women", "misfit": "-3:3", "arms": 5.0}, None),
+        ({"stage": "pattern", "outfits": "everyday"}, None),
+        (PEOPLE, None),
+        ({}, "smoke-64"),
+        ({}, "of-a-file"),
+        ({"poses": "FILE"}, None),
+    ],
+)
+def test_a_command_that_is_named_asks_for_the_same_data_set(
+    options: dict[str, Any], named: str | None, tmp_path: Path
+) -> None:
+    """Files are not part of a data set: where it was made with one, the command is not known."""
+    (file := tmp_path / "poses.toml").write_text(POSES)
+    given: dict[str, Any] = {name: str(file) if value == "FILE" else value for name, value in options.items()}
+    recipe = PEOPLE if options is PEOPLE else recipe_of(MakeConfig(**given))
+    store = FolderStore(fill(tmp_path / "set", range(2), seed=3, recipe=recipe, count=9))
+    split = (manifest := store.manifest()).splits["train"]
+    plan = replace(split.plan, named=None if named is None else (named, "0" * 64))
+    (tmp_path / "set/manifest.json").write_bytes(
+        replace(manifest, splits={"train": replace(split, plan=plan)}).to_bytes()
+    )
+    said = FolderStore(store.folder).unfinished("train") or ""
+    if "FILE" in options.values() or named == "of-a-file":
+        assert said == "2 of 9 samples are made: the same command goes on"
+        return
+    (command,) = re.findall(r"gcd (generate .*) goes on", said)
+    asked = _parse(shlex.split(command))
+    assert (Path(asked.out), asked.recipe) == (store.folder, named)
+    if named is None:
+        known = {name: value for name, value in recipe.items() if name not in ("design", "mesh")}
+        assert (asked.count, asked.seed, given_options(asked, MakeConfig)) == (9, 3, known)
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

@@ -124,7 +124,7 @@ def test_the_meta_table_lists_the_keys_of_a_meta_file() -> None:
 
 def test_every_rule_of_rejects_and_redraws_is_described() -> None:
     told = (DOCS / "limits.md").read_text().split("## Rules of the sampler")[1]
-    pattern = re.compile(r'(?:(?:Reject|Redraw|SewingFault)\(|(?:within|again)\(\w+, |rule=)"(\w+)"')
+    pattern = re.compile(r'(?:(?:Reject|Redraw|SewingFault)\(|\.(?:within|again)\(\w+, |rule=)"(\w+)"')
     rules = {rule for path in (ROOT / "generator").rglob("*.py") for rule in pattern.findall(path.read_text())}
     assert len(rules) > 20
     assert not {rule for rule in rules if f"`{rule}`" not in told}

@@ -147,8 +147,11 @@ def parts_table() -> str:
     """The parts of the body, and the labels of edges."""
     parts = ", ".join(f"{part.value} {_words(part)}" for part in BodyPart)
     labels = ", ".join(f"`{role.value}`" for role in EdgeRole)
-    used = "`meta.edge_labels` lists what the numbers refer to"
-    return f"- `BodyPart`: {parts}.\n- Labels of edges (`EdgeRole`): {labels}; {used}."
+    return (
+        f"- `BodyPart`: {parts}.\n- Labels of edges (`EdgeRole`): {labels}. `meta.edge_labels` is the list that "
+        'numbers refer to, `""` first; it may hold labels that a garment does not use. `meta.vertex_labels` names '
+        "those that vertices of the mesh have."
+    )
 
 
 def measures_table() -> str:

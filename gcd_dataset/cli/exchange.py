@@ -26,7 +26,10 @@ from gcd_dataset.errors import ConfigError, PatternError, ShardError
 
 def add_verbs(verbs: Any) -> None:
     """Add these verbs to ``gcd``."""
-    again = "The same command continues a stopped conversion; with further batches, convert to another folder."
+    again = (
+        "The same command continues a stopped conversion; after further batches are downloaded, convert to another "
+        "folder."
+    )
     convert = add_verb(verbs, "convert", _convert, "convert the published GarmentCodeData to shards", again)
     convert.add_argument("published", type=Path, metavar="PUBLISHED", help="folder with garments_5000_0 and the like")
     convert.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; created if missing")

@@ -137,9 +137,9 @@ def _require_same_set(place: Place, asked: Plan) -> None:
         return  # ``_restore_notes`` looks at each shard
     plan.require_same(asked, name)
     if plan.count != asked.count:
-        resumed = f", or give --count {plan.count}, which resumes this one" if "stage" in plan.recipe else ""
+        resume = f"; with gcd generate, --count {plan.count} resumes this one" if "stage" in plan.recipe else ""
         raise ConfigError(
-            f"{name}: a data set of {plan.count} samples, asked for {asked.count}: choose another folder{resumed}"
+            f"{name}: a data set of {plan.count} samples, asked for {asked.count}: choose another folder{resume}"
         )
 
 

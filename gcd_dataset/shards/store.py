@@ -23,6 +23,7 @@ from gcd_dataset.shards.meta import decode_json
 from gcd_dataset.shards.notes import Gathered, gather, shards_named
 
 DOWNLOAD_FILE = "download.json"
+RECIPES = files("gcd_dataset") / "generator" / "recipes"
 OPEN_FILES = 256  # most open files, out of the 1024 descriptors that most systems allow a process
 
 
@@ -161,21 +162,21 @@ class FolderStore(Store):
         return f"{self._command(split)} goes on"
 
     def _command(self, split: str) -> str:
-        """The command that continues the data set; ``the same command`` where the plan lacks some of its options.
-
-        Of a file, such as a chart of sizes, the plan has the hash of the content.
-        """
+        """The command that continues the data set; ``the same command`` where the plan lacks a file of its options."""
         plan = self.manifest().splits[split].plan
         words = ["gcd", "generate", str(self.folder)]
-        if plan.named is not None and (files("gcd_dataset") / f"generator/recipes/{plan.named[0]}.toml").is_file():
-            return shlex.join([*words, "--recipe", plan.named[0]])
-        from_file = any(HASH.fullmatch(str(value)) for value in plan.recipe.values())
-        if plan.named is not None or "stage" not in plan.recipe or plan.recipe.get("design") or from_file:
+        if plan.named is not None:
+            is_ours = (RECIPES / f"{plan.named[0]}.toml").is_file()
+            return shlex.join([*words, "--recipe", plan.named[0]]) if is_ours else "the same command"
+        options = {name: value for name, value in plan.recipe.items() if name not in ("design", "mesh", "part")}
+        hashed = any(HASH.fullmatch(str(value)) for value in options.values())  # in place of a file
+        if "stage" not in options or plan.recipe.get("design") or hashed:
             return "the same command"
         words += ["--count", str(plan.count), "--seed", str(plan.seed)]
-        for name, value in plan.recipe.items():
-            if name not in ("design", "mesh", "part"):  # not options
-                words.append(f"--{name.replace('_', '-')}" + ("" if value is True else f"={value}"))
+        for name, value in options.items():
+            option, text = f"--{name.replace('_', '-')}", str(value)
+            joined = [f"{option}={text}"] if text.startswith("-") else [option, text]
+            words += [option] if value is True else joined
         return shlex.join(words)
 
     def _gather(self) -> Gathered:
