@@ -115,10 +115,8 @@ def test_nothing_stays_of_an_error_and_a_kill_is_no_hindrance(tmp_path: Path, wh
     assert contents(fill(folder, range(10))) == contents(whole)
 
 
-@pytest.mark.parametrize("recipe", [RECIPE, {"stage": "pattern", "sizes": 64 * "a"}])
-def test_a_set_of_fewer_samples_than_planned_is_unfinished(recipe: dict[str, Any], tmp_path: Path) -> None:
-    """Of a chart in a file the recipe has a hash alone."""
-    fill(tmp_path, range(7), count=100, shard_size=None, recipe=recipe)
+def test_a_set_of_fewer_samples_than_planned_is_unfinished(tmp_path: Path) -> None:
+    fill(tmp_path, range(7), count=100, shard_size=None)
     message = ShardReader(tmp_path).store.unfinished("train")
     assert message == "7 of 100 samples are made: the same command goes on"
     assert [shard.count for shard in ShardReader(tmp_path).record.shards] == [5, 2]
