@@ -38,6 +38,7 @@ from gcd_dataset.tensors import (
 )
 from tests.generator.mesh import shapes
 from tests.helpers import napkins
+from tests.test_metrics import moved_origin
 
 LOSSLESS = 1e-4  # cm
 
@@ -178,10 +179,7 @@ def test_centroids_of_a_half_disc_a_triangle_and_a_strip_without_area() -> None:
 def test_rows_do_not_depend_on_the_local_origin() -> None:
     place = np.array([5.0, 90.0, 20.0, 0.3, -0.8, 0.1])
     panel = loop("p", square().vertices, [Quadratic((0.4, 0.2)), LINE, Arc(15, False, True), LINE], place=place)
-    away = np.array([7.0, -4.0])
-    there = panel.placement.translation - panel.placement.matrix[:, :2] @ away
-    moved = replace(panel, vertices=panel.vertices + away, placement=Placement(there, panel.placement.rotation))
-    ours, theirs = (encode_pattern(Pattern("p", (p,), ())) for p in (panel, moved))
+    ours, theirs = (encode_pattern(Pattern("p", (p,), ())) for p in (panel, moved_origin(panel)))
     assert np.allclose(ours.panels[:, : PanelColumn.CENTROID_X], theirs.panels[:, : PanelColumn.CENTROID_X])
     assert np.allclose(ours.edges, theirs.edges)
 

@@ -38,10 +38,18 @@ def needed(model: str) -> list[str]:
     return NEEDED.get(model, "width").split()
 
 
-@pytest.mark.parametrize(("model", "name"), [(model, name) for model in NETWORKS for name in needed(model)])
-def test_a_network_has_some_of_what_it_needs(model: str, name: str) -> None:
-    with pytest.raises(ConfigError, match=rf"^{name} 0"):
-        small(model, **{name: 0})
+REFUSED: list[tuple[str, dict[str, Any], str]] = [
+    *((model, {name: 0}, rf"^{name} 0") for model in NETWORKS for name in needed(model)),
+    *((model, {"tables": 3}, rf"^no size tables of {model}: choose of \w+, ") for model in NETWORKS),
+    ("picture_parameters", {"width": 36}, "width 36: give a multiple of 32"),
+    ("stitches", {"foreign": 0.5}, r"foreign is 0\.5: give a share"),
+]
+
+
+@pytest.mark.parametrize(("model", "sizes", "message"), REFUSED)
+def test_sizes_that_a_network_cannot_have_are_refused(model: str, sizes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        small(model, **sizes)
 
 
 @pytest.mark.parametrize("model", NETWORKS)
@@ -53,24 +61,11 @@ def test_heads_share_the_width(model: str) -> None:
                 small(model, **{name: 33})
 
 
-@pytest.mark.parametrize("model", NETWORKS)
-def test_an_unknown_size_is_refused(model: str) -> None:
-    with pytest.raises(ConfigError, match=rf"^no size tables of {model}: choose of \w+, "):
-        small(model, tables=3)
-
-
 @pytest.mark.parametrize("model", ["panel_set", "edge_tokens", "parameters"])
 def test_garments_have_a_point_for_each_token(model: str, six: GarmentSet) -> None:
     few = replace(six, points=six.points[:, :16])
     with pytest.raises(ConfigError, match="32 tokens of 16 points: give a power of 2, at most the points"):
         small(model).prepare(few, device=torch.device("cpu"))
-
-
-def test_a_size_beyond_its_limits_is_refused() -> None:
-    with pytest.raises(ConfigError, match="width 36: give a multiple of 32"):
-        small("picture_parameters", width=36)
-    with pytest.raises(ConfigError, match=r"foreign is 0\.5: give a share"):
-        small("stitches", foreign=0.5)
 
 
 FEW = {"points": 128, "stored_points": 512}

@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.draping.other_bodies import OTHER_BODIES, arms_forward
+from benchmarks.draping.other_bodies import OTHER_BODIES
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.body import build_body, neutral_shape
-from gcd_dataset.generator.body.shape import T_POSE
 from gcd_dataset.generator.dressing import Dressing, dress, has_legs
 from gcd_dataset.generator.dressing.frame import Wearer, in_body_frame, moved, placed_outline, wearer_of
 from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan
@@ -314,21 +312,15 @@ def off_axis(pattern: Pattern, body: Body) -> float:
 
 @pytest.mark.parametrize("pose", ["t_pose", "arms_forward"])
 def test_sleeves_of_the_a_pose_are_turned_to_other_arms(pose: str) -> None:
-    usual, size = neutral()
-    body = (
-        build_body(replace(neutral_shape(), arm_angle=T_POSE))
-        if pose == "t_pose"
-        else arms_forward(usual, neutral_shape())
-    )
+    body = OTHER_BODIES[pose]().body
     assert off_axis(shirt(), body) > 12.0
-    dressing = dress(shirt(), body, size)
+    dressing = dress(shirt(), body, neutral()[1])
     assert off_axis(dressing.pattern, body) < 6.0
     assert sum("sleeve points" in sentence and "turned to it" in sentence for sentence in dressing.assumed) == 2
 
 
 def test_turned_sleeves_keep_their_shape_and_stay_mirror_images() -> None:
-    usual, size = neutral()
-    turned = dress(shirt(), arms_forward(usual, neutral_shape()), size).pattern
+    turned = dress(shirt(), OTHER_BODIES["arms_forward"]().body, neutral()[1]).pattern
     for before, after in zip(shirt().panels, turned.panels, strict=True):
         assert np.array_equal(before.vertices, after.vertices)
     middles = [p.placement.apply(panel_outline(p)).mean(axis=0) for p in turned.panels if p.label == PanelRole.ARM]
