@@ -228,8 +228,7 @@ def test_splits_that_the_published_layout_does_not_know_are_reported(
 ) -> None:
     for split in ("train", "holdout"):
         fill(tmp_path / "shards", [0], split=split)
-    readers = exported_splits(tmp_path / "shards")
-    assert list(readers) == ["train"]
+    assert list(exported_splits(tmp_path / "shards")) == ["train"]
     assert "holdout" in caplog.text
     for path in (tmp_path / "shards").glob("*train*"):
         path.unlink()

@@ -86,7 +86,6 @@ def test_no_scan_is_replaced(place: Path, tmp_path: Path, capsys: pytest.Capture
         ([tmp_path / "skirt.npy"], tmp_path, "lies in --out"),
         ([tmp_path / "skirt.npy", place / "skirt.npy"], tmp_path / "out", "named as"),
     ):
-        given = ["reconstruct", *map(str, scans), "--out", str(out), *FAST]
-        assert exit_code(given) == 2
+        assert exit_code(["reconstruct", *map(str, scans), "--out", str(out), *FAST]) == 2
         assert told in one_line(capsys.readouterr().err)
     assert (tmp_path / "skirt.npy").read_bytes() == before

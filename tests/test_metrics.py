@@ -83,8 +83,7 @@ def drawn_from_behind(panel: Panel) -> Panel:
 def split(pattern: Pattern, name: str) -> Pattern:
     """Cut the first edge of a panel, a line, in two; the outline stays the same."""
     old = pattern.panel(name)
-    middle = old.vertices[:2].mean(axis=0)
-    corners = np.insert(old.vertices, 1, middle, axis=0)
+    corners = np.insert(old.vertices, 1, old.vertices[:2].mean(axis=0), axis=0)
     edges = tuple(Edge(i, (i + 1) % len(corners)) for i in range(len(corners)))
     new = replace(old, vertices=corners, edges=edges)
     return replace(pattern, panels=tuple(new if p.name == name else p for p in pattern.panels), seams=())
@@ -342,8 +341,7 @@ def test_a_prediction_that_cannot_be_drawn_gets_the_worst() -> None:
 
 def test_means_include_every_garment() -> None:
     whole = garment()
-    scores = [score_pattern(whole, whole), score_pattern(Pattern("empty", (), ()), whole)]
-    means = mean_scores(scores)
+    means = mean_scores([score_pattern(whole, whole), score_pattern(Pattern("empty", (), ()), whole)])
     assert (means.iou, means.transl_cm) == pytest.approx((0.5, 20.0))
 
 

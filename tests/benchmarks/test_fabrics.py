@@ -33,8 +33,7 @@ def test_layers_count_once_in_a_shadow() -> None:
 def test_a_wavy_rim_has_as_many_folds_as_waves() -> None:
     mesh = disc(1.0)
     wavy = np.array(mesh.vertices)
-    angle = np.arctan2(wavy[:, 2], wavy[:, 0])
-    wavy[:, [0, 2]] *= 0.8 + 0.1 * np.sin(7 * angle)[:, None]
+    wavy[:, [0, 2]] *= 0.8 + 0.1 * np.sin(7 * np.arctan2(wavy[:, 2], wavy[:, 0]))[:, None]
     assert folds(wavy, mesh) == 7
 
 

@@ -224,8 +224,7 @@ GARMENT_FAULTS = [
 def test_open_seams_of_the_pattern_are_no_fault_of_the_mesh(tmp_path: Path) -> None:
     def opened(train: Samples, test: Samples) -> None:
         seams = tuple(replace(seam, closure=Closure.OPEN) for seam in train[0].pattern.seams)
-        apart = with_mesh(unsewn(train[0]), seams=np.zeros((0, 2), int))
-        train[0] = with_pattern(apart, seams=seams)
+        train[0] = with_pattern(with_mesh(unsewn(train[0]), seams=np.zeros((0, 2), int)), seams=seams)
         train[1] = with_mesh(unsewn(train[1]), seams=np.zeros((0, 2), int))
 
     (finding,) = edited(tmp_path, opened).harmful
@@ -414,8 +413,7 @@ def test_quick_reads_a_part_of_each_split(shards: Path, monkeypatch: pytest.Monk
 
 
 def test_an_hdf5_file_is_examined_as_its_shards(tmp_path: Path) -> None:
-    samples = [*good()[:5], not_a_number(good()[5])]
-    reader = ShardReader(written(tmp_path / "shards", samples))
+    reader = ShardReader(written(tmp_path / "shards", [*good()[:5], not_a_number(good()[5])]))
     for _ in write_hdf5(reader, tmp_path / "train.h5"):
         pass
     report = examine(tmp_path / "train.h5")

@@ -28,8 +28,7 @@ def lined() -> Pattern:
     one, two = squares().panels
     lines = (InnerLine(0, 2, role=LineRole.FOLD), InnerLine(4, 5, Arc(5.0, False, True)))
     inner = replace(one, vertices=np.concatenate([one.vertices, [[25.0, 10.0], [35.0, 10.0]]]), lines=lines)
-    seams = (*squares().seams, Seam(EdgeRef("one", 4), EdgeRef("two", 0)))
-    return Pattern("lined", (inner, two), seams)
+    return Pattern("lined", (inner, two), (*squares().seams, Seam(EdgeRef("one", 4), EdgeRef("two", 0))))
 
 
 NAMES = (

@@ -132,8 +132,7 @@ def test_ezdxf_finds_no_fault_and_the_pieces_lie_apart(worn: Sample, tmp_path: P
 
 
 def test_names_are_plain_and_different_and_notes_hold_the_own_ones(tmp_path: Path) -> None:
-    pattern = named(*NAMES, title="Größe 38")
-    blocks = read_of(pattern, tmp_path)
+    blocks = read_of(named(*NAMES, title="Größe 38"), tmp_path)
     names = [name for name in blocks if name]
     pieces = [text for name in names for text in blocks[name].texts("1") if text.startswith("Piece Name:")]
     assert len({name.upper() for name in names}) == len({text.upper() for text in pieces}) == len(NAMES)

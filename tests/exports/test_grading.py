@@ -51,8 +51,7 @@ def test_a_size_is_the_pattern_of_its_body_and_a_rule_rejects_the_others() -> No
 
 
 def test_a_body_that_cannot_be_is_named_with_chart_and_size() -> None:
-    body = replace(CHART.body("88"), waist=1.0)
-    chart = replace(CHART, bodies={**CHART.bodies, "88": body})
+    chart = replace(CHART, bodies={**CHART.bodies, "88": replace(CHART.body("88"), waist=1.0)})
     with pytest.raises(BodyError, match=r"sizes_women\.toml: size 88: waist_back_width is .* correct these measures"):
         grade(design_from_dict(TROUSERS), chart)
 
@@ -151,8 +150,7 @@ def test_a_pdf_holds_cut_and_sew_lines_of_every_size(shirt: dict[str, Pattern], 
 
 
 def test_names_of_sizes_that_no_font_has_are_plain_in_a_pdf(tmp_path: Path) -> None:
-    names = ["كبير", "M", "大", "x" * 500]
-    pdf(dict.fromkeys(names, squares()), tmp_path / "a.pdf")
+    pdf(dict.fromkeys(["كبير", "M", "大", "x" * 500], squares()), tmp_path / "a.pdf")
     text = "\n".join(page.extract_text() for page in PdfReader(tmp_path / "a.pdf").pages)
     assert {"size_1", "M", "大"} <= set(text.split())
     assert "■" not in text and max(map(len, text.split())) <= 60
@@ -202,7 +200,6 @@ def test_a_specification_without_its_design_is_refused(tmp_path: Path, capsys: p
     error = capsys.readouterr().err
     assert f"{spec}: a specification without its design" in error and "give the design_params.yaml" in error
     assert not again.exists()
-    tree = json.loads(spec.read_text())
-    spec.write_text(json.dumps({**tree, "design": TROUSERS}))
+    spec.write_text(json.dumps({**json.loads(spec.read_text()), "design": TROUSERS}))
     assert run("grade", spec, "--chart", "women", "--out", again) == 1  # nine sizes are rejected
     assert capsys.readouterr().out.startswith(f"{again}: 3 of 12 sizes")

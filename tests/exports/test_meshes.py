@@ -160,8 +160,7 @@ def test_an_obj_is_sewn_and_has_the_vertices_of_the_sample(worn: Sample, tmp_pat
     vertices = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
     assert vertices == pytest.approx(drape.vertices, abs=1e-3)
     faces = np.array([[c.split("/")[0] for c in line.split()[1:]] for line in lines if line.startswith("f ")], int) - 1
-    order = np.argsort(mesh.panel_id, kind="stable")
-    assert np.array_equal(faces, mesh.faces[order])
+    assert np.array_equal(faces, mesh.faces[np.argsort(mesh.panel_id, kind="stable")])
     used = [line.split()[1] for line in lines if line.startswith("usemtl")]
     made = [line.split()[1] for line in (tmp_path / "a.mtl").read_text().splitlines() if line.startswith("newmtl")]
     assert used == made == list(mesh.panel_names)
@@ -176,8 +175,7 @@ def test_a_ply_has_the_vertices_of_the_sample(worn: Sample, tmp_path: Path) -> N
     garment, (mesh, drape) = trimesh.load(tmp_path / "a.ply", process=False), parts(worn)
     assert garment.vertices == pytest.approx(drape.vertices, abs=1e-3)
     assert np.array_equal(garment.faces, mesh.faces)
-    colours = {tuple(row) for row in garment.visual.face_colors[mesh.panel_id == 0].tolist()}
-    assert len(colours) == 1
+    assert len({tuple(row) for row in garment.visual.face_colors[mesh.panel_id == 0].tolist()}) == 1
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])

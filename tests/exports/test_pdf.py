@@ -101,8 +101,7 @@ def test_sew_lines_have_the_areas_of_the_panels(patterns: tuple[Pattern, ...], t
             for line in sew_lines(page, reader):
                 found[round(shapely.Polygon(line.points).area, 3)] = line
         exact = np.array([exact_area(panel) for panel in pattern.panels])
-        areas = np.array(sorted(found))
-        error = np.abs(areas[:, None] / exact - 1)
+        error = np.abs(np.array(sorted(found))[:, None] / exact - 1)
         assert error.min(axis=1).max() < 3e-4  # each line is a panel
         assert error.min(axis=0).max() < 3e-4  # each panel has a line
 
@@ -194,8 +193,7 @@ def test_names_in_any_script_are_drawn_or_numbered_and_all_are_bookmarks(tmp_pat
 
 
 def test_a_long_name_stays_in_its_piece(tmp_path: Path) -> None:
-    reader = read(named("x" * 300, "y"), tmp_path, paper="a0")
-    assert "x" * 58 + "_1" in reader.pages[0].extract_text()
+    assert "x" * 58 + "_1" in read(named("x" * 300, "y"), tmp_path, paper="a0").pages[0].extract_text()
 
 
 def test_every_page_shows_cloth_and_no_cloth_is_missing() -> None:

@@ -39,8 +39,7 @@ def test_without_allowance_both_lines_are_one() -> None:
 def test_a_sharp_corner_is_bevelled() -> None:
     """The mitre of a corner of 11° would reach 10 cm; it ends at two and a half allowances."""
     (piece,) = cut_pieces(Pattern("thorn", (panel("thorn", [(0, 0), (50, 0), (50, 10)]),), ()))
-    reach = np.linalg.norm(piece.cut - [0.0, 0.0], axis=1)
-    near = reach[piece.cut[:, 0] < 0]
+    near = np.linalg.norm(piece.cut - [0.0, 0.0], axis=1)[piece.cut[:, 0] < 0]
     assert 1.0 < near.max() < 3.0
 
 
@@ -123,8 +122,7 @@ def test_a_wrong_side_seam_has_its_notches_at_the_same_ends() -> None:
 
 
 def test_seams_that_meet_along_an_edge_have_a_notch_there() -> None:
-    corners = [(0, 0), (40, 0), (40, 5), (40, 10), (0, 10)]
-    band = panel("band", corners)
+    band = panel("band", [(0, 0), (40, 0), (40, 5), (40, 10), (0, 10)])
     other = panel("other", [(0.0, 0.0), (5.0, 0.0), (5.0, 5.0), (0.0, 5.0)])
     seam = Seam(EdgeRef("band", 1), EdgeRef("other", 3))
     piece, _ = cut_pieces(Pattern("band", (band, other), (seam,)), seam_allowance=1.0)

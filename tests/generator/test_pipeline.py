@@ -36,8 +36,7 @@ DRAPED = MakeConfig(resolution=8.0, points=64, picture=48, device="cpu")
 
 def test_a_sample_is_the_same_alone_and_in_any_order() -> None:
     in_order = list(produce(5, range(3), MESHED))
-    backwards = list(produce(5, [2, 1, 0], MESHED))
-    assert in_order == backwards[::-1]
+    assert in_order == list(produce(5, [2, 1, 0], MESHED))[::-1]
     assert make(5, 2, MESHED) == in_order[2]
     assert [sample.provenance.index for sample in in_order] == [0, 1, 2]
 
@@ -81,8 +80,7 @@ def test_a_pattern_keeps_the_gathers_of_its_seams() -> None:
 
 
 def test_both_bodies_wear_one_design() -> None:
-    config = replace(FLAT, bodies="both")
-    neutral, random, following = produce(9, [4, 5, 6], config)
+    neutral, random, following = produce(9, [4, 5, 6], replace(FLAT, bodies="both"))
     assert neutral.design == random.design != following.design
     assert neutral.provenance.body_name == following.provenance.body_name == "neutral"
     assert random.measurements != neutral.measurements == following.measurements
@@ -186,8 +184,7 @@ def test_a_garment_that_never_rests_has_no_frames(steps: MakeConfig, monkeypatch
     """It has the members and types of all others."""
     best = "gcd_dataset.generator.drape.batches.best_of"
     monkeypatch.setattr(best, lambda drapes: replace(drapes[-1], outcome=Outcome.FELL))
-    sample = make(5, 1, replace(steps, on_fail="keep"))
-    members = encode_sample(sample)
+    members = encode_sample(make(5, 1, replace(steps, on_fail="keep")))
     assert decode_fields(members, ["motion_verts"])["motion_verts"].shape == (0, 3)
     assert json.loads(members["meta.json"])["motion"]["crossings"] == [[-1, -1, -1]]
     stored = decode_sample(members).motion
@@ -247,8 +244,7 @@ def test_a_draped_sample_is_complete() -> None:
     assert sample.drape is not None and sample.box_mesh is not None and sample.points is not None
     assert sample.drape.outcome is Outcome.SETTLED
     assert sample.drape.vertices.shape == sample.box_mesh.vertices.shape
-    drop = np.linalg.norm(sample.drape.vertices - sample.box_mesh.vertices, axis=1)
-    assert drop.max() > 3.0
+    assert np.linalg.norm(sample.drape.vertices - sample.box_mesh.vertices, axis=1).max() > 3.0
     low, high = sample.drape.vertices.min(axis=0) - 0.01, sample.drape.vertices.max(axis=0) + 0.01
     assert ((sample.points[:, :3] >= low) & (sample.points[:, :3] <= high)).all()
     for jpeg in (sample.front, sample.back):

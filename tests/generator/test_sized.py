@@ -69,8 +69,7 @@ def test_a_ring_that_closes_with_a_fastening_need_not_pass_the_bust() -> None:
     wearer = WOMEN.body("96")
     assert not fit_of(DRESS, "88", wearer).labels
     wide = replace(wearer, bust=1.3 * wearer.bust)
-    loose = build_pattern(wearer, SHIRT)
-    obstacle = Cut(WOMEN, "96", "96").fit(loose, SHIRT, wide).obstacle
+    obstacle = Cut(WOMEN, "96", "96").fit(build_pattern(wearer, SHIRT), SHIRT, wide).obstacle
     assert obstacle is not None and obstacle.figures["body_cm"] == wide.bust
 
 
@@ -78,8 +77,7 @@ def test_a_neckline_must_pass_the_head() -> None:
     pattern, wearer = build_pattern(WOMEN.body("96"), SHIRT), WOMEN.body("96")
     girth = neckline_girth(pattern)
     assert girth == pytest.approx(2 * np.pi * 9, rel=0.5)
-    giant = replace(wearer, head_l=girth)
-    obstacle = Cut(WOMEN, "96", "96").fit(pattern, SHIRT, giant).obstacle
+    obstacle = Cut(WOMEN, "96", "96").fit(pattern, SHIRT, replace(wearer, head_l=girth)).obstacle
     assert obstacle is not None and obstacle.reason.startswith("a neckline that passes the head")
 
 
@@ -115,8 +113,7 @@ def test_step_0_is_the_pattern_of_the_charts_body_and_a_step_changes_the_size_al
     assert own.fit is not None and moved.fit is not None
     assert (own.fit.cut_for, own.fit.step, moved.fit.step) == (WOMEN.size_of(own.measurements), 0, 1)
     assert own.measurements == moved.measurements
-    design = design_from_dict(own.design)
-    drawn = build_pattern(WOMEN.body(own.fit.cut_for), design)
+    drawn = build_pattern(WOMEN.body(own.fit.cut_for), design_from_dict(own.design))
     for panel, worn in zip(drawn.panels, own.pattern.panels, strict=True):
         assert np.array_equal(panel.vertices, worn.vertices) and panel.edges == worn.edges
     assert drawn.seams == own.pattern.seams

@@ -72,8 +72,7 @@ ALL = {"train": 1.0, "validation": 0.0, "test": 0.0}
 
 
 def test_no_design_is_in_two_splits(both: Path) -> None:
-    reader = ShardReader(both)
-    parts = partition(reader, SHARES)
+    parts = partition(ShardReader(both), SHARES)
     assert list(parts) == list(SHARES)
     assert sorted(position for part in parts.values() for position in part) == list(range(80))
     designs = {name: {position // 2 for position in part} for name, part in parts.items()}
@@ -168,8 +167,7 @@ def test_only_changed_shards_are_staged_again(tmp_path: Path) -> None:
     data = fill(tmp_path / "data", range(20))
     first = stage(data, "org/new", tmp_path / "up")
     before = {path: (tmp_path / "up" / path).stat().st_ino for path in first.files}
-    again = stage(data, "org/new", tmp_path / "up")
-    assert again.manifest == first.manifest
+    assert stage(data, "org/new", tmp_path / "up").manifest == first.manifest
     assert before == {path: (tmp_path / "up" / path).stat().st_ino for path in before}
     other = fill(tmp_path / "other", range(6), seed=1)
     stage(other, "org/new", tmp_path / "up", shares=ALL)

@@ -68,7 +68,6 @@ def kill_drapers(address: DraperAddress, number: int = signal.SIGKILL) -> None:
 
 
 def drape_request(number: int, resolution: float = 10.0) -> DrapeRequest:
-    config = MakeConfig(resolution=resolution, device="cpu", design=SKIRTS)
-    [worn] = prepare(5, 0, config).dressed
+    [worn] = prepare(5, 0, MakeConfig(resolution=resolution, device="cpu", design=SKIRTS)).dressed
     assert worn.box_mesh is not None
     return DrapeRequest(number, DrapeJob(worn.box_mesh, worn.body, worn.size), 0)

@@ -109,8 +109,7 @@ def test_the_mesh_is_stored_once(ours: Path) -> None:
     ds = BodyDataset(ours)
     assert ds.faces.dtype == torch.int32 and ds.parts is not None
     assert ds.faces.max() + 1 == len(ds.parts) == len(ds[0]["straight"])
-    inwards = ds[0]["straight"][ds.faces.long()]
-    volume = torch.linalg.det(inwards.double()).sum() / 6
+    volume = torch.linalg.det(ds[0]["straight"][ds.faces.long()].double()).sum() / 6
     assert 40_000 < volume < 150_000  # cm³, of a person with outward faces
 
 
@@ -141,8 +140,7 @@ def test_damage_is_named(tmp_path: Path) -> None:
 
 def test_the_published_layout_gives_the_same_items(ours: Path, published: Path, tmp_path: Path) -> None:
     shards = BodyDataset(ours)
-    parts = segmentation(tmp_path / "parts.json", shards.mesh)
-    folder = PublishedBodies(published, segmentation=parts)
+    folder = PublishedBodies(published, segmentation=segmentation(tmp_path / "parts.json", shards.mesh))
     assert len(folder) == len(shards) == COUNT
     for index in range(COUNT):
         assert_same(folder[index], shards[index])

@@ -70,8 +70,7 @@ def test_a_data_set_is_exhausted_before_it_is_reshuffled() -> None:
 
 
 def test_it_is_a_data_set_like_its_parts(tmp_path: Path) -> None:
-    folder = fill(tmp_path / "data", range(10))
-    published, fresh = GarmentDataset(folder), FakeGarments(30, seed=1)
+    published, fresh = GarmentDataset(fill(tmp_path / "data", range(10))), FakeGarments(30, seed=1)
     ds: Garments = MixedDataset([published, fresh], [0.25, 0.75], seed=3)
     assert len(ds) == 40
     assert ds.fields == published.fields

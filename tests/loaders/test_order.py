@@ -29,8 +29,7 @@ def merged(samplers: Iterable[ElasticSampler]) -> list[int]:
 
 @given(st.integers(1, 2000), st.integers(0, 2**64), st.integers(0, 2**40))
 def test_a_permutation_is_a_bijection(length: int, seed: int, epoch: int) -> None:
-    shuffled = Permutation(length, seed, epoch)
-    assert sorted(map(shuffled, range(length))) == list(range(length))
+    assert sorted(map(Permutation(length, seed, epoch), range(length))) == list(range(length))
 
 
 def test_all_permutations_of_four_are_equally_likely() -> None:

@@ -60,8 +60,7 @@ def jittered(item: dict[str, Any]) -> dict[str, Any]:
 
 
 def jittered_batch(items: list[Any]) -> Any:
-    batch = collate_packed(items)
-    return {**batch, "noise": torch.rand(len(items))}
+    return {**collate_packed(items), "noise": torch.rand(len(items))}
 
 
 def trained(loader: Any) -> tuple[list[float], list[float]]:
@@ -96,8 +95,7 @@ def test_draws_of_a_transform_depend_on_seed_epoch_and_garment(folder: Path) -> 
     loader = GarmentLoader(ds, 2)
     first = noise(loader)
     assert first == noise(GarmentLoader(ds, 5)) == noise(GarmentLoader(ds[:], 3))
-    second = noise(loader)
-    assert not set(first.values()) & set(second.values())
+    assert not set(first.values()) & set(noise(loader).values())
     assert not set(first.values()) & set(noise(GarmentLoader(ds, 2, seed=1)).values())
     stopped, resumed = GarmentLoader(ds, 2), GarmentLoader(ds, 2)
     next(iter(stopped))

@@ -84,8 +84,7 @@ def test_yaw_turns_scans_and_cameras_with_the_figure() -> None:
 def test_yaw_stays_within_its_limit() -> None:
     angles = []
     for seed in range(50):
-        front = {"verts": torch.tensor([[0.0, 0.0, 1.0]])}
-        x, _, z = Yaw(0.5)(front, rng(seed))["verts"][0].tolist()
+        x, _, z = Yaw(0.5)({"verts": torch.tensor([[0.0, 0.0, 1.0]])}, rng(seed))["verts"][0].tolist()
         angles.append(np.arctan2(x, z))
     assert 0.4 < max(angles) <= 0.5
     assert -0.5 <= min(angles) < -0.4
@@ -136,8 +135,7 @@ def test_draws_depend_on_seed_index_and_epoch() -> None:
 def test_augmented_garments_keep_state_recipe_and_slices() -> None:
     plain = FakeGarments(6, fields=["points"])
     ds = Augmented(plain, Yaw())
-    state = GarmentLoader(plain, 2).state_dict()
-    GarmentLoader(ds, 2).load_state_dict(state)
+    GarmentLoader(ds, 2).load_state_dict(GarmentLoader(plain, 2).state_dict())
     assert ds.recipe(3) == plain.recipe(3)
     assert len(ds[2:]) == 4
     with pytest.raises(ConfigError, match="MixedDataset"):

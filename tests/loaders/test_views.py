@@ -100,8 +100,7 @@ def test_other_data_sets_have_other_pictures_at_the_same_number(worn_folder: Pat
     item = dataset(worn_folder)[0]
     meta, views = item["meta"], small()
     for change in ({"seed": SEED + 1}, {"recipe": {**meta["recipe"], "resolution": 3.0}}):
-        other = {**item, "meta": {**meta, **change}}
-        assert not torch.equal(views(other)["views"], views(item)["views"])
+        assert not torch.equal(views({**item, "meta": {**meta, **change}})["views"], views(item)["views"])
     elsewhere = {**item, "meta": {**meta, "recipe": {**meta["recipe"], "device": "cuda", "captions": True, "views": 9}}}
     assert torch.equal(views(elsewhere)["views"], views(item)["views"])
 
@@ -303,8 +302,7 @@ def test_an_image_on_a_panel_changes_that_panel_alone(worn_folder: Path, tmp_pat
     plain = small(n=4)(item)
     panel = plain["panel_id_map"].max()
     Image.new("RGB", (4, 4), (0, 255, 0)).save(tmp_path / "green.png")
-    textures = {item["meta"]["panel_names"][int(panel)]: tmp_path / "green.png"}
-    shown = small(n=4, textures=textures)(item)
+    shown = small(n=4, textures={item["meta"]["panel_names"][int(panel)]: tmp_path / "green.png"})(item)
     is_changed = (shown["views"] != plain["views"]).any(dim=-1)
     assert is_changed[plain["panel_id_map"] == panel].float().mean() > 0.9
     assert is_changed[plain["panel_id_map"] != panel].float().mean() < 0.1  # pixels on its border
@@ -341,8 +339,7 @@ def test_a_garment_that_was_not_draped_has_an_empty_picture(
 
 def test_fake_garments_are_rendered_on_a_given_body(worn: list[Sample]) -> None:
     wearer = build_body(worn[0].shape)  # type: ignore[arg-type]
-    views = small(bodies=lambda name: wearer)
-    [batch] = GarmentLoader(FakeGarments(2), 2, views=views)
+    [batch] = GarmentLoader(FakeGarments(2), 2, views=small(bodies=lambda name: wearer))
     assert batch["views"].shape == (2, 1, SIZE, SIZE, 3)
 
 
@@ -363,8 +360,7 @@ def test_a_gpu_is_refused_in_a_worker(worn_folder: Path) -> None:
 
 
 def test_a_loop_that_ends_early_leaves_no_thread(worn_folder: Path) -> None:
-    loader = GarmentLoader(dataset(worn_folder), 1, views=small())
-    begun = iter(loader)
+    begun = iter(GarmentLoader(dataset(worn_folder), 1, views=small()))
     assert len(list(islice(begun, 1))) == 1
     begun.close()  # type: ignore[attr-defined]
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("gcd-views")]

@@ -94,8 +94,7 @@ def test_batches_hold_windows_of_different_garments(folder: Path, workers: int) 
     ds = GarmentDataset(folder, fields=fields, frames=3, cache_dir=folder / "cache")
     [batch] = GarmentLoader(ds, 6, shuffle=False, num_workers=workers)
     items: list[Any] = list(ds)
-    count = len(batch.verts)
-    assert batch.motion_verts.shape == batch.motion_velocities.shape == (3, count, 3)
+    assert batch.motion_verts.shape == batch.motion_velocities.shape == (3, len(batch.verts), 3)
     assert batch.motion_pose.shape == (6, 3, 21, 3)
     assert batch.motion_first.tolist() == [0, 1, 2, 3, 0, 1]
     assert torch.equal(batch["motion_verts_ptr"], batch["verts_ptr"])
@@ -140,8 +139,7 @@ def test_made_garments_hold_their_motion_in_the_sample(tmp_path: Path, monkeypat
 
 def test_hdf5_keeps_poses_and_leaves_motions_out(folder: Path, moving: list[Sample], tmp_path: Path) -> None:
     assert list(write_hdf5(ShardReader(folder), tmp_path / "train.h5")) == [0, 1, 2]
-    garments = Hdf5Garments(tmp_path / "train.h5")
-    assert garments.sample(0).motion is None
+    assert Hdf5Garments(tmp_path / "train.h5").sample(0).motion is None
     pose = moving[0].shape.pose if moving[0].shape else None
     assert pose is not None
     np.testing.assert_allclose(Hdf5Garments(tmp_path / "train.h5", fields=["pose"])[0]["pose"], pose.array, atol=1e-6)

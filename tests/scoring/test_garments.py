@@ -129,8 +129,7 @@ def test_inputs_are_read_as_meshes_and_points(tmp_path: Path) -> None:
 
 
 def test_inputs_that_cannot_be_used(tmp_path: Path) -> None:
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.4)
-    ball.export(tmp_path / "metres.ply")
+    trimesh.creation.icosphere(subdivisions=2, radius=0.4).export(tmp_path / "metres.ply")
     np.save(tmp_path / "flat.npy", np.zeros((100, 2)))
     (tmp_path / "text.obj").write_text("nothing")
     (tmp_path / "broken.ply").write_bytes(b"ply\n")

@@ -132,8 +132,7 @@ def test_datasets_maps_whole_samples(tars: tuple[Path, Path], tmp_path: Path, st
         assert_arrays(item, index)
         assert item["meta"]["index"] == index
         assert json.loads(item["design"]) == fake_sample(0, index).design  # a text: its keys differ between samples
-    pictures = next(iter(rows(tars[1]).map(decode)))
-    assert pictures["front.jpg"].size == (16, 16)
+    assert next(iter(rows(tars[1]).map(decode)))["front.jpg"].size == (16, 16)
 
 
 def test_people_are_decoded(tmp_path: Path) -> None:

@@ -151,8 +151,7 @@ def test_maps_colour_the_cloth_alone_and_alike_where_nothing_stretches_or_presse
     maps = Maps(np.ones((len(nothing), 2)), nothing + 20.0, nothing, 1.0)
     with ShardWriter(tmp_path / "set", seed=0, recipe={}, layout=garments_layout(maps=True)) as writer:
         writer.write(replace(made, drape=drape, maps=maps, provenance=replace(made.provenance, index=0)))
-    album = ShardAlbum(ShardReader(tmp_path / "set"), "shards", maps=True)
-    picture = album.picture(0, 128).astype(int)
+    picture = ShardAlbum(ShardReader(tmp_path / "set"), "shards", maps=True).picture(0, 128).astype(int)
     stretch, gap, pressure = picture[:64, 64:], picture[64:, :64], picture[64:, 64:]
     cloth = np.abs(gap - pressure).max(axis=2) > 60
     assert 0.02 < cloth.mean() < 0.3

@@ -93,8 +93,7 @@ def test_drawn_pictures_are_displayed(sample: Sample) -> None:
 
 def test_a_data_set_displays_its_first_garments(tmp_path: Path) -> None:
     fill(tmp_path, range(8))
-    elements = displayed(GarmentDataset(tmp_path))
-    assert elements.count("img") == 6
+    assert displayed(GarmentDataset(tmp_path)).count("img") == 6
     assert displayed(GarmentDataset(tmp_path)[6:]).count("img") == 2
     assert displayed(GarmentDataset(tmp_path, fields=["verts"])).count("img") == 6
 

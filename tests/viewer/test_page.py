@@ -42,8 +42,7 @@ def integers(packed: dict[str, Any]) -> np.ndarray:
     """The rows of packed integers, as the page's script decodes them."""
     planes = np.frombuffer(zlib.decompress(base64.b64decode(packed["data"])), np.uint8).reshape(packed["size"], -1)
     steps = sum(plane.astype(np.int64) << 8 * place for place, plane in enumerate(planes))
-    rows = np.asarray(steps).reshape(-1, packed["columns"])
-    return rows.cumsum(axis=0) % (1 << 8 * packed["size"])
+    return np.asarray(steps).reshape(-1, packed["columns"]).cumsum(axis=0) % (1 << 8 * packed["size"])
 
 
 def numbers(packed: dict[str, Any]) -> np.ndarray:
@@ -130,8 +129,7 @@ def test_stored_views_are_pictures_of_the_page(sample: Sample, content: Content)
 
 
 def test_a_pattern_without_mesh_has_a_page_without_the_view(sample: Sample) -> None:
-    content = content_of(replace(sample, box_mesh=None, drape=None, shape=None))
-    page = page_of(content)
+    page = page_of(content_of(replace(sample, box_mesh=None, drape=None, shape=None)))
     assert Elements(page).count("canvas") == 0
     assert data_of(page)["mesh"] is None
 

@@ -67,8 +67,7 @@ def test_the_garment_remains_the_same_in_canonical_order(targets: PanelTargets, 
 
 def test_a_state_depends_on_no_later_token(targets: PanelTargets) -> None:
     network = learner().eval()
-    sequence = sequence_of(targets)
-    tokens = tokens_of(targets, sequence)
+    tokens = tokens_of(targets, sequence_of(targets))
     memory = torch.randn(6, 8, network.config.width)
     changed = replace(tokens, end=tokens.end.clone())
     changed.end[:, 9:] += 1.0

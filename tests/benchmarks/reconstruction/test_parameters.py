@@ -44,8 +44,7 @@ def learner(**sizes: int) -> ParameterNet:
 def test_the_true_parameters_and_measures_draw_the_true_pattern(six: GarmentSet) -> None:
     for k in range(len(six)):
         sizes = six.measures[k].astype(float)
-        pattern = drawn(Answer(six.ragged["design"][k][0], sizes, sizes))
-        score = score_pattern(pattern, six.pattern(k))
+        score = score_pattern(drawn(Answer(six.ragged["design"][k][0], sizes, sizes)), six.pattern(k))
         assert score.combinatorial == 1
         assert score.iou > 0.999
         assert score.transl_cm < 0.01
@@ -373,8 +372,7 @@ def test_a_drape_that_failed_has_labels_too(value: float) -> None:
 
 
 def test_mirror_images_have_the_labels_of_the_other_side(six: GarmentSet) -> None:
-    network = build({**SMALL, **LABEL_SIZES, "labelled": 1, "augmented": 1})
-    examples = network.prepare(six, device=CPU)
+    examples = build({**SMALL, **LABEL_SIZES, "labelled": 1, "augmented": 1}).prepare(six, device=CPU)
     names = [PANEL_CLASSES.index(name) for name in ("left_ftorso", "right_ftorso", "skirt_front")]
     edges = [EDGE_LABELS.index(name) for name in ("left_collar", "right_collar", "")]
     own = torch.tensor([[a, b, 1] for a, b in zip(names, edges, strict=True)], dtype=torch.uint8)

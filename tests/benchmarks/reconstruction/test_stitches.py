@@ -136,8 +136,7 @@ def test_two_halves_that_a_straight_seam_joins_become_the_whole_panel() -> None:
     whole = found.points[:6].reshape(-1, 2)
     assert np.ptp(whole, axis=0) == pytest.approx([40, 60], abs=1e-3)
     assert np.abs(whole).max(axis=0) == pytest.approx([20, 30], abs=1e-3)
-    ends = found.points[found.following[:6], 0]
-    assert found.points[:6, -1] == pytest.approx(ends, abs=1e-3)
+    assert found.points[:6, -1] == pytest.approx(found.points[found.following[:6], 0], abs=1e-3)
     assert sorted(found.lengths[:6].tolist()) == pytest.approx([20, 20, 20, 20, 60, 60])
     both = graph_of(Pattern("p", (left, right, belt), seams))
     assert len(glued(both, np.random.default_rng(0), share=1.0).lengths) == 8
@@ -165,10 +164,8 @@ def test_intervals_of_the_truth_score_one_and_misplaced_ones_do_not() -> None:
     right = score_intervals(found, found.parts)
     assert (right.f1, right.perfect) == (1.0, 1.0)
     moved = split(found.pattern, {EdgeRef("one", CAP_1): (0.5,), EdgeRef("two", CAP_1): (0.3,)})
-    wrong = score_intervals(found, replace(moved, seams=found.parts.seams))
-    assert wrong.f1 == pytest.approx(0.8)
-    unsewn = score_intervals(found, found.pattern)
-    assert unsewn.f1 == pytest.approx(2 * 6 / (6 + 10))
+    assert score_intervals(found, replace(moved, seams=found.parts.seams)).f1 == pytest.approx(0.8)
+    assert score_intervals(found, found.pattern).f1 == pytest.approx(2 * 6 / (6 + 10))
 
 
 def test_congruent_panels_are_exchangeable_and_mirror_images_are_not() -> None:

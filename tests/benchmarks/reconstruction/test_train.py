@@ -149,8 +149,7 @@ def test_a_validation_set_chooses_the_weights_and_the_training_set_the_range_of_
     """Answers are confined to the measures of the bodies trained on, not of those that are watched."""
     flags = ["--model", "parameters", *small, "--steps", "4", "--batch", "2", "--validate", "5", "--out", str(tmp_path)]
     assert main(flags) == 0
-    config = parsed(flags)
-    split = load_split(config, TASKS["T0"])
+    split = load_split(parsed(flags), TASKS["T0"])
     assert len(split.check) == 5
     state = torch.load(tmp_path / "weights.pt", weights_only=True)
     assert np.allclose(state["decoder.most"], split.train.measures.max(axis=0))

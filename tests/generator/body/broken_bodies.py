@@ -133,8 +133,7 @@ def fused_by_scanner(body: Body, cell: float) -> _Mesh:
             base = at + np.eye(3, dtype=int)[axis]
             quad = np.stack([base, base + u, base + u + v, base + v], axis=1)
             quads.append(quad[:, ::-1] if flip else quad)
-    grid = np.concatenate(quads)
-    keys, index = np.unique(grid.reshape(-1, 3), axis=0, return_inverse=True)
+    keys, index = np.unique(np.concatenate(quads).reshape(-1, 3), axis=0, return_inverse=True)
     faces4 = index.reshape(-1, 4)
     corners = low + keys * cell
     for share in SMOOTHING:

@@ -37,8 +37,7 @@ SIZE = measure(build_body(neutral_shape()))
 @pytest.fixture
 def mannequin(tmp_path: Path) -> dict[str, Path]:
     """Files of a body: a box 1.7 m tall as mesh, one vertex for each limb, and measures."""
-    box = trimesh.creation.box((0.5, 1.7, 0.3))
-    box.export(tmp_path / "box.obj")
+    trimesh.creation.box((0.5, 1.7, 0.3)).export(tmp_path / "box.obj")
     parts = {"body": [0, 1, 2, 3], "left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [7]}
     (tmp_path / "parts.json").write_text(json.dumps(parts))
     write_measurements(SIZE, tmp_path / "size.yaml")
@@ -277,8 +276,7 @@ def test_corners_of_stl_are_merged_in_order_of_appearance(tmp_path: Path) -> Non
     vertices, faces = read_mesh(tmp_path / "ball.stl")
     assert len(vertices) == len(ball.vertices)
     assert vertices[faces] == pytest.approx(ball.triangles, abs=1e-4)
-    firsts = np.unique(faces.ravel(), return_index=True)[1]
-    assert (np.diff(firsts) > 0).all()
+    assert (np.diff(np.unique(faces.ravel(), return_index=True)[1]) > 0).all()
 
 
 def test_transforms_of_nodes_are_honoured(tmp_path: Path) -> None:
@@ -299,8 +297,7 @@ def test_eyes_beside_a_body_are_read_and_a_garment_is_an_error(tmp_path: Path) -
     trimesh.Scene({"body": body, "eye": eye}).export(tmp_path / "eye.glb")
     vertices, _ = read_mesh(tmp_path / "eye.glb")
     assert len(vertices) == len(body.vertices) + len(eye.vertices)
-    shirt = body.copy().apply_scale(1.02)
-    trimesh.Scene({"body": body, "shirt": shirt}).export(tmp_path / "both.glb")
+    trimesh.Scene({"body": body, "shirt": body.copy().apply_scale(1.02)}).export(tmp_path / "both.glb")
     message = r"both\.glb: holds 2 meshes \(body, shirt\), none .* the body: export it alone"
     with pytest.raises(BodyError, match=message):
         read_mesh(tmp_path / "both.glb")

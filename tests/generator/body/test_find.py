@@ -191,8 +191,7 @@ def written(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:
 
 def check_in_t_pose(found: Measurements, shape: BodyShape) -> None:
     """All measures equal those in the A-pose; ``arm_pose_angle`` alone is measured in the T-pose."""
-    lifted = measure(build_body(replace(shape, arm_angle=T_POSE)))
-    assert abs(off(found, lifted)["arm_pose_angle"]) < 3.0
+    assert abs(off(found, measure(build_body(replace(shape, arm_angle=T_POSE))))["arm_pose_angle"]) < 3.0
     assert too_far(found, measure(build_body(shape))).keys() <= {"arm_pose_angle"}
 
 

@@ -96,8 +96,7 @@ def section_area(body: Body, centre: np.ndarray, normal: np.ndarray) -> float:
     )
     points = lines.reshape(-1, 3)
     points = points[np.linalg.norm(points - centre, axis=1) < 10.0] - centre
-    plane = np.linalg.svd(normal[None])[2][1:]
-    return float(ConvexHull(points @ plane.T).volume)
+    return float(ConvexHull(points @ np.linalg.svd(normal[None])[2][1:].T).volume)
 
 
 def test_the_root_turns_the_whole_body(woman: Body) -> None:

@@ -76,8 +76,7 @@ def test_faces_of_any_winding_are_turned_outward(damage: str) -> None:
 def test_closing_a_hole_does_not_join_touching_skins() -> None:
     """Two boxes that touch along an edge, each with its own vertices there; a triangle is missing on the far side."""
     one = trimesh.creation.box((10.0, 10.0, 10.0)).subdivide()
-    two = one.copy().apply_translation([10.0, 10.0, 0.0])
-    both = trimesh.util.concatenate([one, two])
+    both = trimesh.util.concatenate([one, one.copy().apply_translation([10.0, 10.0, 0.0])])
     far = int(both.triangles_center.sum(axis=1).argmin())
     skin = closed(body_from(both), np.delete(both.faces, far, axis=0))
     assert is_whole(skin)
@@ -180,8 +179,7 @@ def test_crossed_walls_of_a_groove_are_separated_and_a_narrow_groove_is_unchange
 
 @pytest.mark.parametrize(("seed", "number", "sex"), [(0, 1763, "male"), (1, 1174, "female"), (1, 1450, "female")])
 def test_thighs_and_crotch_of_unusual_bodies_do_not_intersect(seed: int, number: int, sex: str) -> None:
-    body = build_body(draw_shape(rng(seed, number, Stage.BODY), group=sex))
-    assert skin_crossings(body) == 0
+    assert skin_crossings(build_body(draw_shape(rng(seed, number, Stage.BODY), group=sex))) == 0
 
 
 def test_drawn_bodies_have_no_folds() -> None:

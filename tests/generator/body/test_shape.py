@@ -70,8 +70,7 @@ def test_arms_are_level_in_the_t_pose() -> None:
 
 def test_pooled_weights_have_the_papers_spread() -> None:
     shapes = [draw_shape(rng(0, index, Stage.BODY), group="pooled") for index in range(80)]
-    weights = np.array([shape.weights for shape in shapes])
-    assert weights.std() == pytest.approx(0.7, abs=0.06)
+    assert np.array([shape.weights for shape in shapes]).std() == pytest.approx(0.7, abs=0.06)
     assert max(abs(shape.arm_angle) for shape in shapes) <= np.radians(15.0)
 
 
@@ -144,8 +143,7 @@ def test_residuals_are_the_errors_of_the_fitted_body_and_open_measures_get_proba
 @pytest.mark.long
 def test_the_measures_of_a_drawn_body_are_fitted_to_a_millimetre() -> None:
     drawn = draw_shape(rng(0, 2, Stage.BODY))
-    size = measure(build_body(drawn))
-    found = fit_shape(size)
+    found = fit_shape(measure(build_body(drawn)))
     assert np.abs(values(found.residual, LENGTHS)).max() < 0.1
     assert np.degrees(np.abs(values(found.residual, tuple(ANGLES)))).max() < 0.2
     assert found.shape.arm_angle == pytest.approx(drawn.arm_angle, abs=0.01)

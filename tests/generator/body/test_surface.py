@@ -66,8 +66,7 @@ def test_a_geodesic_between_any_two_points_of_a_ball() -> None:
 
 def test_the_narrowest_ring_of_an_hourglass() -> None:
     y = np.linspace(-10.0, 10.0, 81)
-    turned = np.stack([4.0 + 0.05 * (y - 1.0) ** 2, y], axis=1)
-    glass = trimesh.creation.revolve(turned, sections=200)
+    glass = trimesh.creation.revolve(np.stack([4.0 + 0.05 * (y - 1.0) ** 2, y], axis=1), sections=200)
     glass.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
     angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
     ring = np.stack([4.0 * np.cos(angle), 0 * angle, 4.0 * np.sin(angle)], axis=1)
@@ -94,8 +93,7 @@ def test_a_scan_is_welded_and_its_holes_are_patched() -> None:
     assert mesh.is_winding_consistent
     skin = trimesh.triangles.area(ball.vertices[open_faces]).sum()
     assert mesh.area_faces[~scan.patched].sum() == pytest.approx(skin)
-    corner = ball.vertices[open_faces[5, 1]]
-    assert scan.vertices[scan.source[5 * 3 + 1]] == pytest.approx(corner)
+    assert scan.vertices[scan.source[5 * 3 + 1]] == pytest.approx(ball.vertices[open_faces[5, 1]])
 
 
 def test_an_empty_scan_and_one_with_an_invalid_vertex_are_errors() -> None:

@@ -141,8 +141,7 @@ class Axis:
 
     def winding(self, ring: Float[np.ndarray, "n 3"]) -> int:
         """Absolute winding number of a ring round the axis."""
-        across = np.linalg.svd(self._along[None])[2][1:]
-        x, y = across @ (ring - self.start).T
+        x, y = np.linalg.svd(self._along[None])[2][1:] @ (ring - self.start).T
         turns = np.angle(np.roll(x + 1j * y, -1) / (x + 1j * y)).sum() / (2 * np.pi)
         return abs(round(float(turns)))
 

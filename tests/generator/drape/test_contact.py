@@ -207,8 +207,7 @@ def test_the_contact_search_lists_all_near_pairs() -> None:
     """Points and faces of two crumpled sheets nearer than the margin, compared with a brute-force search."""
     rng = np.random.default_rng(3)
     lower = patch(6, 6, place=LYING, origin=(0.0, 100.0, 0.0))
-    upper = patch(5, 5, spacing=1.05, place=LYING, origin=(0.3, 100.35, -0.2))
-    mesh = joined(lower, upper)
+    mesh = joined(lower, patch(5, 5, spacing=1.05, place=LYING, origin=(0.3, 100.35, -0.2)))
     mesh = replace(mesh, vertices=mesh.vertices + 0.12 * rng.standard_normal(mesh.vertices.shape))
     config = DrapeConfig(sewing_time=1e6)
     solver = Solver(build_model([DrapeJob(mesh, far_ball(), SIZE)], config, "cpu"), config)
@@ -299,8 +298,7 @@ CONFIG = DrapeConfig(untangling_steps=60)
 
 def pierced() -> DrapeJob:
     """A sheet that the corner of another sheet pierces."""
-    corner_first = np.array([[0.1, 0.1], [0.7, -0.7], [0.7, 0.7]])
-    other = patch(6, 6, place=corner_first, origin=(0.0, 100.0, -1.7))
+    other = patch(6, 6, place=np.array([[0.1, 0.1], [0.7, -0.7], [0.7, 0.7]]), origin=(0.0, 100.0, -1.7))
     return DrapeJob(joined(patch(12, 12, origin=(-6.0, 94.0, 0.0)), other), far_ball(), SIZE)
 
 

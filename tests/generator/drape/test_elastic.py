@@ -165,8 +165,7 @@ def stiffnesses(mesh: BoxMesh, fabric: Fabric) -> Tensile:
 def test_a_sheet_has_the_tensile_stiffness_of_its_fabric_on_any_mesh(fabric: Fabric, spacing: float) -> None:
     sheet = strip(15.0, 13.0, spacing)
     assert stiffnesses(sheet, fabric) == pytest.approx(tuple(fabric.pull), rel=1e-3)
-    rng = np.random.default_rng(1)
-    uneven = sheet.uv + 0.08 * spacing * rng.standard_normal(sheet.uv.shape)
+    uneven = sheet.uv + 0.08 * spacing * np.random.default_rng(1).standard_normal(sheet.uv.shape)
     assert stiffnesses(replace(sheet, uv=uneven), fabric) == pytest.approx(tuple(fabric.pull), rel=1e-3)
 
 

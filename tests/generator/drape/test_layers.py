@@ -34,8 +34,7 @@ def test_of_two_rings_the_inner_one_lies_within() -> None:
 
 
 def test_rings_through_each_other_cross_and_half_of_the_order_is_wrong() -> None:
-    body = body_from(trunk())
-    [layer] = layers_of([ring(13.0, tilt=2.0), ring(13.0)], body, device="cpu")
+    [layer] = layers_of([ring(13.0, tilt=2.0), ring(13.0)], body_from(trunk()), device="cpu")
     assert layer.crossings > 40  # all round, edges of both
     assert layer.wrong_order == pytest.approx(0.5, abs=0.1)
 

@@ -50,8 +50,7 @@ def assert_comes_out(worn: Worn, arm: str, hole: np.ndarray) -> None:
     """The arm comes out of one rim, on the vertices ``hole``, and pierces no cloth."""
     [rim] = worn.openings(arm)
     assert np.isin(rim, hole).mean() > 0.9  # seam ends have no label
-    axis = Axis.of(worn.body, arm)
-    assert axis.pierces(worn.drape.vertices[worn.mesh.faces]) == 0
+    assert Axis.of(worn.body, arm).pierces(worn.drape.vertices[worn.mesh.faces]) == 0
 
 
 def test_an_arm_under_the_shirt_is_detected() -> None:

@@ -113,8 +113,7 @@ def test_a_panel_without_seams_is_refused_by_name_unless_it_is_alone() -> None:
     pair = (rectangle("one", 50.0, 40.0, z=0.0), rectangle("two", 50.0, 40.0, z=0.0))
     with pytest.raises(PatternError, match=r"no seam joins (one|two) to the rest"):
         dress(Pattern("pair", pair, ()), *neutral())
-    cloth = Pattern("cloth", (rectangle("cloth", 50.0, 40.0, z=30.0, y=100.0),), ())
-    dressed = dress(cloth, *neutral())
+    dressed = dress(Pattern("cloth", (rectangle("cloth", 50.0, 40.0, z=30.0, y=100.0),), ()), *neutral())
     assert any("hold" in sentence for sentence in dressed.assumed)
 
 
@@ -141,8 +140,7 @@ def test_a_net_of_forty_openings_is_placed() -> None:
         for i in range(39)
         for right, left in ((1, 7), (3, 5))
     )
-    net = Pattern("net", panels, seams)
-    hung, _ = hang_from_lay_plan(net, wearer_of(*neutral()))
+    hung, _ = hang_from_lay_plan(Pattern("net", panels, seams), wearer_of(*neutral()))
     assert len(openings_of(hung)) > 35
     places = np.concatenate([panel.placement.apply(panel.vertices) for panel in hung.panels])
     assert np.isfinite(places).all()

@@ -253,8 +253,7 @@ def test_trousers_before_a_seated_wearer_start_at_finite_positions() -> None:
     """The thighs point forward, so that the legs have no side-by-side heights."""
     standing = neutral(legs_apart=True)[0]
     forward = standing.vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
-    start = sewing_start(mesh_of(TROUSERS), replace(standing, vertices=forward))
-    assert np.isfinite(start).all()
+    assert np.isfinite(sewing_start(mesh_of(TROUSERS), replace(standing, vertices=forward))).all()
 
 
 DEPTH = 0.3  # cm under the skin: rounding decides on which side of the skin a cuff lies that touches it
@@ -364,8 +363,7 @@ def rolled(mesh: BoxMesh, radius: float) -> tuple[np.ndarray, np.ndarray]:
 def test_sleeve_surrounds_the_arm_with_its_own_girth_its_middle_above_and_its_seam_below(mesh: BoxMesh) -> None:
     around, rows = rolled(mesh, 4.0)
     assert np.linalg.norm(around, axis=1) == pytest.approx(WIDTH / (2 * np.pi), rel=0.02)
-    angles = np.sort(np.arctan2(around[:, 1], around[:, 0]))
-    assert np.diff(angles).max() < np.radians(30)
+    assert np.diff(np.sort(np.arctan2(around[:, 1], around[:, 0]))).max() < np.radians(30)
     vertex, count = np.unique(mesh.uv_vertex, return_counts=True)
     assert around[np.isin(rows, vertex[count > 1]), 0].max() < -0.9 * WIDTH / (2 * np.pi)
     assert around[:, 0].max() == pytest.approx(WIDTH / (2 * np.pi), rel=0.02)

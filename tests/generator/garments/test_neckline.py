@@ -291,8 +291,7 @@ def test_a_hood_does_not_cross_itself_above_four_half_widths(half_width: float) 
     for share in (0.3, 1.0, 2.0, 4.0):
         depths = (share * half_width, 0.2 * half_width)
         front, back = (((half_width, depth), round_length(half_width, depth)) for depth in depths)
-        outline = hood_outline(*front, *back, top=1.0, height=25.0)
-        assert shapely.Polygon(outline.points()).is_valid
+        assert shapely.Polygon(hood_outline(*front, *back, top=1.0, height=25.0).points()).is_valid
 
 
 def test_a_hood_leaves_and_reaches_the_centre_about_level(woman: Measurements) -> None:

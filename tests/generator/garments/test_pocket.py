@@ -72,7 +72,6 @@ def test_pockets_are_drawn_on_request() -> None:
 
 def test_pockets_have_words(woman: Measurements) -> None:
     design = design_from_dict(POCKETS["left_ftorso"])
-    pattern = draw_garment(woman, design)
-    shirt, _ = described(woman, design, pattern)
+    shirt, _ = described(woman, design, draw_garment(woman, design))
     assert shirt is not None
     assert shirt.details[-1].words == ("a chest pocket on the left",)

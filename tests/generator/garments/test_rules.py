@@ -375,8 +375,7 @@ def test_the_hem_with_godets_is_what_is_left_of_the_hem_and_the_godets(woman: Me
 def test_the_narrowest_ring_of_a_tapered_base_is_its_hem(woman: Measurements) -> None:
     design = TIGHT["a pencil skirt"]
     cloth = [ring.cloth for ring in rings(woman, design) if ring.name == "a pencil skirt"]
-    drawn = draw_garment(woman, design)
-    assert min(cloth) == pytest.approx(lengths(drawn, "bottom"), rel=1e-3)
+    assert min(cloth) == pytest.approx(lengths(draw_garment(woman, design), "bottom"), rel=1e-3)
 
 
 def test_a_skirt_without_gathers_is_as_wide_as_the_waist(woman: Measurements) -> None:

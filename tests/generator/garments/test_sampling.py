@@ -97,12 +97,10 @@ def test_designs_stay_within_an_overlay() -> None:
             "sleeve": {"length": {"range": [0.8, 1.1]}},
         }
     )
-    kinds = {sample_kind(rng(0, number, Stage.KIND), hoodies) for number in range(20)}
-    assert kinds == {Kind.UPPER}
+    assert {sample_kind(rng(0, number, Stage.KIND), hoodies) for number in range(20)} == {Kind.UPPER}
     for seed in range(5):
         design = sample_design(np.random.default_rng(seed), overlay=hoodies)
-        values = to_dict(design)
-        assert values["collar"]["component"]["style"] == "Hood2Panels"
+        assert to_dict(design)["collar"]["component"]["style"] == "Hood2Panels"
         assert 0.8 <= design.sleeve.length <= 1.1
 
 
@@ -193,8 +191,7 @@ def test_a_remedy_draws_below_the_value_at_fault(redrawing: Redrawing) -> None:
 
 
 def test_a_value_within_its_limits_is_not_drawn_again(redrawing: Redrawing) -> None:
-    kept = redrawing.within(GarmentDesign(), "too_long", "shirt.length", 0.5, 1.2)
-    assert kept == GarmentDesign()
+    assert redrawing.within(GarmentDesign(), "too_long", "shirt.length", 0.5, 1.2) == GarmentDesign()
     shorter = redrawing.within(GarmentDesign(), "too_long", "shirt.length", 0.5, 1.0)
     assert 0.5 <= shorter.shirt.length <= 1.0
     assert redrawing.counts == {Redraw("too_long", "shirt.length"): 1}

@@ -49,12 +49,10 @@ def test_a_skirt_that_ends_above_the_hips_has_no_slits(woman: Measurements, mend
 @pytest.mark.parametrize("kind", [Bottom.GATHERED, Bottom.CIRCLE, Bottom.PANELS])
 def test_no_skirt_is_shorter_than_five_centimetres(woman: Measurements, kind: Bottom) -> None:
     above_hips = {"length": -0.2, "rise": 0.5}
-    design = {"skirt": above_hips | {"flare": 0}, "flare-skirt": above_hips}
-    pattern = skirt(woman, kind, design)
+    pattern = skirt(woman, kind, {"skirt": above_hips | {"flare": 0}, "flare-skirt": above_hips})
     top = max(panel.placement.apply(panel.vertices)[:, 1].max() for panel in pattern.panels)
     assert top == pytest.approx(woman.waist_level)
-    shortest = min(length(panel, "right") for panel in pattern.panels)
-    assert 5.0 <= shortest + 1e-9 < 7.0
+    assert 5.0 <= min(length(panel, "right") for panel in pattern.panels) + 1e-9 < 7.0
 
 
 def test_a_pencil_skirt_goes_round_the_hips_and_its_darts_take_it_in_to_the_waist(wearer: Measurements) -> None:
@@ -321,8 +319,7 @@ def test_a_level_is_as_wide_as_the_hem_above_times_its_gathers(woman: Measuremen
 @pytest.mark.parametrize("base", BASES[:3])
 def test_base_and_levels_together_have_the_requested_length(woman: Measurements, base: str) -> None:
     plan = {"base": base, "level": "Skirt2", "num_levels": 3, "length": 0.8, "base_length_frac": 0.4}
-    straight = {"skirt": {"flare": 0}, "levels-skirt": plan}
-    pattern = skirt(woman, Bottom.LEVELS, straight)
+    pattern = skirt(woman, Bottom.LEVELS, {"skirt": {"flare": 0}, "levels-skirt": plan})
     base_side = length(pattern.panel("skirt_front"), "right", "right_hip")
     levels = [length(pattern.panel(f"skirt_front_{i}"), "right") for i in range(3)]
     assert levels == pytest.approx([0.6 * 0.8 * woman.leg_length / 3] * 3)

@@ -114,8 +114,7 @@ def test_a_seam_of_lines_joins_two_layers_over_each_other() -> None:
     assert mesh.vertices[:11, 0] == pytest.approx(8.0)
     assert mesh.vertices[:11, 2] == pytest.approx(0.0)
     for number, sign in ((0, 1.0), (1, -1.0)):  # the left side of the seam lies outside
-        own = np.unique(mesh.faces[mesh.panel_id == number])
-        assert (sign * mesh.vertices[own, 2]).min() >= 0.0
+        assert (sign * mesh.vertices[np.unique(mesh.faces[mesh.panel_id == number]), 2]).min() >= 0.0
     with pytest.raises(MeshError, match="a seam runs inside a panel"):
         coarsen(mesh)
     assert coarse_start(build_box_mesh(overlapping(), spacing=0.3)) is None

@@ -81,8 +81,7 @@ def test_a_zip_joins_its_share_of_the_length_within_a_mesh_edge(closed: tuple[fl
     assert joined.right.tolist() == [50 + k if right_wrong else 70 - k for k in joined.left.tolist()]
     reached = (joined.left[0] / 20, joined.left[-1] / 20) if len(joined.left) else (closed[0],) * 2
     assert reached == pytest.approx(closed, abs=0.5 / 20)
-    opened = replace(zipped, closure=Closure.OPEN)
-    assert not len(stitch_points((opened,), [(left, right)]).left)
+    assert not len(stitch_points((replace(zipped, closure=Closure.OPEN),), [(left, right)]).left)
 
 
 def test_a_seam_that_closes_on_itself_is_an_error() -> None:

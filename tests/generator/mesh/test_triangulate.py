@@ -91,8 +91,7 @@ def test_a_disc_is_meshed_as_regularly_as_its_inside() -> None:
 def test_a_gathered_edge_is_graded(gathered: float) -> None:
     """One side of a square has points ``gathered`` times as dense; triangles grow from it into the square."""
     dense = loop(rectangle(20.0, 20.0), 1.0 / gathered)[: int(20 * gathered)]
-    border = np.concatenate([dense, loop(rectangle(20.0, 20.0), 1.0)[20:]])
-    points, faces = triangles_in(border)
+    points, faces = triangles_in(np.concatenate([dense, loop(rectangle(20.0, 20.0), 1.0)[20:]]))
     assert angles(points, faces).min() > 20.0
     assert sides(points, faces).max() <= LONGEST
     assert areas(points, faces).sum() == pytest.approx(400.0)
@@ -140,8 +139,7 @@ def test_each_point_is_found_in_the_triangle_that_holds_it(seed: int) -> None:
     """Means of three corners with positive weights; a point beside the outline is found in the triangle there."""
     border, random = loop(star(seed), 1.0), np.random.default_rng(seed)
     points, faces = triangles_in(border)
-    shares = random.dirichlet(np.ones(3), size=len(faces))
-    inside = np.einsum("fk,fkd->fd", shares, points[faces])
+    inside = np.einsum("fk,fkd->fd", random.dirichlet(np.ones(3), size=len(faces)), points[faces])
     order = random.permutation(len(faces))
     assert (triangulator().holding(inside[order]) == order).all()
     middle = 0.5 * (border[0] + border[1])

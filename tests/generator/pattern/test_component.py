@@ -83,8 +83,7 @@ def test_what_cannot_be_assembled_or_placed_is_an_error() -> None:
 
 def test_placed_by_leaves_a_gap_on_the_interfaces_side() -> None:
     upper, lower = tube("upper", y=100.0), tube("lower", y=0.0)
-    placed = lower.placed_by("top", upper, "hem", gap=5.0)
-    assert placed.points("top")[:, 1] == pytest.approx(95.0)
+    assert lower.placed_by("top", upper, "hem", gap=5.0).points("top")[:, 1] == pytest.approx(95.0)
 
 
 def test_gathers_shift_the_break_to_the_projected_lengths() -> None:

@@ -87,8 +87,7 @@ def test_hair_lies_on_the_head_and_leaves_the_face_free() -> None:
         shell = hair_shell(bare_head(body, style))
         head = body.vertices[body.parts == BodyPart.HEAD.value]
         depths.append(shell.vertices[:, 1].max() - head[:, 1].max())
-        nose = head[head[:, 2].argmax()]
-        assert np.linalg.norm(shell.vertices - nose, axis=1).min() > 5.0
+        assert np.linalg.norm(shell.vertices - head[head[:, 2].argmax()], axis=1).min() > 5.0
     assert 0.3 < depths[0] < depths[1] < depths[2] < 3.0
 
 

@@ -118,5 +118,4 @@ def share_near(points: np.ndarray, others: np.ndarray) -> float:
 def test_sketches_agree(items: list[Item]) -> None:
     for gpu, cpu in both(items, lambda device: Sketch(size=256, device=device)):
         assert np.allclose(gpu["sketch_rt"], cpu["sketch_rt"])
-        apart = np.abs(gpu["sketch"].astype(int) - cpu["sketch"].astype(int))
-        assert np.mean(apart <= 32) >= 0.99
+        assert np.mean(np.abs(gpu["sketch"].astype(int) - cpu["sketch"].astype(int)) <= 32) >= 0.99

@@ -97,8 +97,7 @@ def test_steep_surfaces_and_patches_are_lost() -> None:
 
 
 def test_flying_pixels_hang_behind_the_edges() -> None:
-    scene = patch_scene()
-    flown = scanned(scene, ahead(), noise=DepthNoise(flying=0.5), points=SIZE**2).points
+    flown = scanned(patch_scene(), ahead(), noise=DepthNoise(flying=0.5), points=SIZE**2).points
     behind = flown[flown[:, 2] < -0.1]
     assert len(behind) > 20
     assert behind[:, 2].min() > -12.1
@@ -129,8 +128,7 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 def test_there_are_as_many_points_as_asked(points: int) -> None:
     cloud = scanned(patch_scene(), ahead(), points=points, size=24)
     assert cloud.points.shape == cloud.normals.shape == (points, 3)
-    different = len(np.unique(cloud.points, axis=0))
-    assert different == min(points, cloud.measured)
+    assert len(np.unique(cloud.points, axis=0)) == min(points, cloud.measured)
 
 
 def test_cameras_stand_evenly_and_see_the_whole_figure() -> None:

@@ -85,8 +85,7 @@ def test_an_edge_is_drawn_where_cloth_hangs_in_front_of_cloth() -> None:
         both = joined(back, replace(front, vertices=front.vertices + [0.0, 0.0, gap]))
         return drawn(of_cloth(both))[100:300, 100:300]
 
-    ink = inner(5.0)
-    row, column = np.nonzero(ink > 0.5)
+    row, column = np.nonzero(inner(5.0) > 0.5)
     side = 10.0 / 50.0 * SIZE * 1000 / 995
     reach = np.maximum(np.abs(row - 99.5), np.abs(column - 99.5))
     assert len(row) > 4 * side * 0.9
@@ -219,8 +218,7 @@ def test_a_valley_is_its_deepest_line(angle: float) -> None:
 def test_the_ink_of_a_line_is_its_length_times_its_width(width: float, slope: float) -> None:
     size = 200
     points = np.array([[0.2, 0.2], [0.8, 0.2 + 0.6 * slope]])
-    picture = draw_strokes([SketchLine(points, width / size)], size)
-    ink = float((255 - picture.astype(float)).sum()) / 255
+    ink = float((255 - draw_strokes([SketchLine(points, width / size)], size).astype(float)).sum()) / 255
     length = size * float(np.linalg.norm(points[1] - points[0]))
     assert ink == pytest.approx(length * width, rel=0.06)
 
