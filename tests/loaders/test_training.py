@@ -111,8 +111,7 @@ WRAPPED: list[Any] = [
 
 
 @pytest.mark.parametrize(
-    "wrapped",
-    [*WRAPPED, lambda ds: Augmented(ds, lambda item, _: jittered(item)), lambda ds: Subset(ds, range(8))],
+    "wrapped", [*WRAPPED, lambda ds: Augmented(ds, lambda item, _: jittered(item)), lambda ds: Subset(ds, range(8))]
 )
 def test_loaded_items_equal_those_of_the_data_set(folder: Path, wrapped: Any) -> None:
     """A thread reads the items; the training thread transforms them."""
