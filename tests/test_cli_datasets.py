@@ -157,7 +157,6 @@ def test_a_stopped_data_set_is_reported_as_unfinished(
 
 
 PEOPLE = {"stage": "body", "bodies": "female", "mesh": "0" * 64}
-POSES = "[[poses]]\nforearm = [30, 0, 0]\n"
 
 
 @pytest.mark.parametrize(
@@ -172,11 +171,9 @@ POSES = "[[poses]]\nforearm = [30, 0, 0]\n"
         ({"poses": "FILE"}, None),
     ],
 )
-def test_a_command_that_is_named_asks_for_the_same_data_set(
-    options: dict[str, Any], named: str | None, tmp_path: Path
-) -> None:
+def test_a_named_command_asks_for_the_same_set(options: dict[str, Any], named: str | None, tmp_path: Path) -> None:
     """Files are not part of a data set: where it was made with one, the command is not known."""
-    (file := tmp_path / "poses.toml").write_text(POSES)
+    (file := tmp_path / "poses.toml").write_text("[[poses]]\nforearm = [30, 0, 0]\n")
     given: dict[str, Any] = {name: str(file) if value == "FILE" else value for name, value in options.items()}
     recipe = PEOPLE if options is PEOPLE else recipe_of(MakeConfig(**given))
     store = FolderStore(fill(tmp_path / "set", range(2), seed=3, recipe=recipe, count=9))

@@ -254,9 +254,7 @@ def test_damage_that_a_fit_finds_is_an_error(kind: str, tmp_path: Path) -> None:
 def test_arms_near_the_a_pose_are_measured_as_they_are(tmp_path: Path) -> None:
     body = build_body(BodyShape(named_shape("female").weights, np.radians(15.0)))
     found, remarks = measure_file(written(tmp_path / "own.obj", body.vertices, np.roll(body.faces, 1, axis=0)))
-    assert [remark for remark in remarks if remark.startswith("arms ")] == [
-        "arms 15° off the A-pose, measured as they are: shoulder_w may be 2 cm off"
-    ]
+    assert "arms 15° off the A-pose, measured as they are: shoulder_w may be 2 cm off" in remarks
     assert found.measurements.shoulder_incl == pytest.approx(measure(body).shoulder_incl, abs=np.radians(1.0))
 
 

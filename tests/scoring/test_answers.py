@@ -92,8 +92,8 @@ def test_of_a_folder_the_predictions_are_read(tmp_path: Path) -> None:
 def test_of_other_kinds_of_files_those_asked_for_are_read(tmp_path: Path) -> None:
     """One report in JSON hid all answers in arrays."""
     (tmp_path / "scores.json").write_text("{}")
+    tensor = encode_pattern(garment())
     for name in ("belt", "other"):
-        tensor = encode_pattern(garment())
         save(tmp_path / f"{name}.npz", {key: getattr(tensor, key) for key in ("panels", "edges", "stitches")})
     found = AnswerReader().read(tmp_path, ["belt", "sash"])
     assert found.keys() == {"scores", "belt"}
