@@ -62,6 +62,7 @@ $TRAIN --model picture_parameters --task T2 --set augmented=1 --train 4000 --fre
 $TRAIN --model picture_parameters --task T2 --set augmented=1 --train 8000 --fresh 24000 --minutes 7 --checks 1 --workers 40 --compile --make-device cuda:1 --drape --out runs/T2-long
 $TRAIN --model picture_parameters --task T2 --set views=1 augmented=1 --train 4000 --minutes 2 --checks 1 --compile --drape --out runs/T2-one_view
 $TRAIN --model picture_parameters --task T2 --set width=256 heads=8 layers=4 augmented=1 --train 8000 --minutes 8 --checks 2 --validate 500 --compile --out runs/T2-8k
+$TRAIN --model picture_parameters --task T2 --set width=256 heads=8 layers=4 augmented=1 --train 29064 --minutes 10.2 --checks 3 --validate 500 --compile --out runs/T2-29k
 $TRAIN --model typical --task T2 --train 4000 --drape --out runs/T2-reference
 
 $TRAIN --model stitches --task T3 --train 24000 --minutes 5.5 --workers 16 --out runs/T3
