@@ -29,11 +29,7 @@ def sketch(**options: Any) -> Sketch:
     return Sketch(**{"size": 32, "yaws": (0.0,), **options})
 
 
-def by_hand(**options: Any) -> Sketch:
-    return sketch(style=HAND, turn=30.0, **options)
-
-
-@pytest.mark.parametrize(("make", "field"), [(scan, "scan"), (by_hand, "sketch")])
+@pytest.mark.parametrize(("make", "field"), [(scan, "scan"), (partial(sketch, style=HAND, turn=30.0), "sketch")])
 def test_entries_are_a_function_of_seed_epoch_and_garment(worn_folder: Path, make: Any, field: str) -> None:
     drawn = make()
     item = dataset(worn_folder)[0]

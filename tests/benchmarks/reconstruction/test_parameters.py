@@ -335,10 +335,6 @@ def dress() -> Any:
     return GeneratedGarments(1, 0, drape=None, resolution=3.0, points=4096, dtype=None, design=DRESS)[0]
 
 
-def labels_of(item: dict[str, Any]) -> np.ndarray:
-    return derived_arrays(item, ["box_labels"])["box_labels"]
-
-
 def test_points_of_two_flat_panels_have_their_labels() -> None:
     """Two panels are sewn along x = 0, and their upper edge, at y = 10, is a collar; the triangles are 1 cm wide."""
     names, collar = ["right_ftorso", "left_ftorso"], EDGE_LABELS.index("left_collar")
@@ -356,7 +352,7 @@ def test_points_of_two_flat_panels_have_their_labels() -> None:
         "labels": torch.from_numpy(np.stack([upper, np.full(11, collar)], axis=1)),
         "seams": torch.from_numpy(np.stack([seam, np.zeros(11, np.int64)], axis=1)),
     }
-    panels, edges, seams = labels_of(item).T
+    panels, edges, seams = derived_arrays(item, ["box_labels"])["box_labels"].T
     assert [PANEL_CLASSES[row] for row in panels] == [names[int(x > 0)] for x in points[:, 0]]
     assert (edges[points[:, 1] > 9.7] == collar).all()
     assert not edges[points[:, 1] < 9].any()
